@@ -1,0 +1,1 @@
+"""CT voxels to the closed surface of one lumen; knows nothing of instruments."""

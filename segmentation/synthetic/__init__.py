@@ -1,0 +1,1 @@
+"""CT series made by calculation, with known truth."""

@@ -1,0 +1,1 @@
+"""Published and measured comparisons, rebuilt: tubeplan bench NAME."""

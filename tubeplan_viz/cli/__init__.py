@@ -1,0 +1,1 @@
+"""The tubeplan command: one module per command."""

@@ -1,0 +1,1 @@
+"""Rerun recordings of planning runs: the only home of rerun."""
