@@ -1,0 +1,158 @@
+"""Three ways to mesh a model tube, each with flat, labelled end caps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial import Delaunay
+from skimage.measure import marching_cubes
+
+from segmentation.arrays import FloatArray, IntArray
+from segmentation.mesh import Cap, Surface
+from tubeplan_viz.bench.axes import Axis
+
+Radius = Callable[[FloatArray], FloatArray]
+
+# Share of a facet's normal along the cap's above which a rim facet of a marching-cubes
+# mesh is cap: the one-voxel chamfer stands at 45 degrees and would bind as wall.
+RIM_COSINE = 0.6
+
+
+def sweep(
+    axis: Axis, radius: Radius, *, edge: float, twisted: bool, rng: np.random.Generator, sites: FloatArray | None = None
+) -> Surface:
+    """Rings on the axis joined by triangles, vertices exactly on the tube.
+
+    Parameters
+    ----------
+    axis : Axis
+    radius : callable
+        Radius in mm at (n,) arc lengths.
+    edge : float, mm
+        Wanted edge length.
+    twisted : bool
+        Turn every ring by its own random angle of at most half an edge, so that no
+        two rings line up and no quad is cospherical.
+    sites : (n,) float array, mm, optional
+        Arc lengths that need a ring of their own (kinks of the radius).
+    """
+    kinks = np.unique(np.concatenate([[0.0, axis.length], sites if sites is not None else []]))
+    s = np.unique(
+        np.concatenate(
+            [np.linspace(a, b, max(int(np.ceil((b - a) / edge)), 1) + 1) for a, b in zip(kinks, kinks[1:], strict=False)]
+        )
+    )
+    r = radius(s)
+    around = max(int(np.ceil(2.0 * np.pi * float(r.max()) / edge / 2.0)) * 2, 12)
+    half_edge = np.pi / around
+    phase = np.cumsum(rng.uniform(-half_edge, half_edge, len(s))) if twisted else np.zeros(len(s))
+    points, frames = axis.at(s)
+    # Frames of pieces meet at joints with equal tangents and normals, so rings need no untwisting.
+    angle = phase[:, None] + 2.0 * half_edge * np.arange(around)
+    rings = points[:, None] + r[:, None, None] * (
+        np.cos(angle)[..., None] * frames[:, None, :, 1] + np.sin(angle)[..., None] * frames[:, None, :, 2]
+    )
+    vertices = rings.reshape(-1, 3)
+    base = (np.arange(len(s) - 1) * around)[:, None]
+    j, k = np.arange(around), (np.arange(around) + 1) % around
+    a, b, c, d = (
+        np.broadcast_to(x, (len(s) - 1, around)).ravel() for x in (base + j, base + k, base + around + k, base + around + j)
+    )
+    if twisted:
+        first = np.linalg.norm(vertices[a] - vertices[c], axis=1) <= np.linalg.norm(vertices[b] - vertices[d], axis=1)
+    else:
+        first = np.ones(len(a), dtype=bool)
+    one = np.where(first[:, None], np.column_stack([a, b, c]), np.column_stack([a, b, d]))
+    two = np.where(first[:, None], np.column_stack([a, c, d]), np.column_stack([b, c, d]))
+    wall = np.concatenate([one, two])
+    ends = [(0, -frames[0, :, 0]), (len(s) - 1, frames[-1, :, 0])]
+    return _with_discs(vertices, wall, [(np.arange(i * around, (i + 1) * around), points[i], normal) for i, normal in ends], edge)
+
+
+def _with_discs(
+    vertices: FloatArray, wall: IntArray, ends: list[tuple[IntArray, FloatArray, FloatArray]], edge: float
+) -> Surface:
+    """Close each rim (vertex indices in order, centre, outward normal) by a flat disc of triangles."""
+    parts, labels, caps = [wall], [np.full(len(wall), -1)], []
+    for number, (rim, center, normal) in enumerate(ends):
+        radial = vertices[rim[0]] - center
+        radius = float(np.linalg.norm(radial))
+        u = radial / radius
+        v = np.cross(normal, u)
+        count = int(radius / edge)
+        inner = [np.zeros((1, 2))]
+        for ring in range(1, count):
+            angle = np.linspace(0.0, 2.0 * np.pi, 6 * ring, endpoint=False) + 0.37 * ring
+            inner.append(radius * ring / count * np.column_stack([np.cos(angle), np.sin(angle)]))
+        disc = np.concatenate(inner)
+        flat = np.concatenate([np.column_stack([(vertices[rim] - center) @ u, (vertices[rim] - center) @ v]), disc])
+        index = np.concatenate([rim, len(vertices) + np.arange(len(disc))])
+        triangles = Delaunay(flat).simplices
+        e1, e2 = (flat[triangles[:, k]] - flat[triangles[:, 0]] for k in (1, 2))
+        swap = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0] < 0.0
+        triangles[swap] = triangles[swap][:, ::-1]
+        vertices = np.concatenate([vertices, center + disc[:, :1] * u + disc[:, 1:] * v])
+        parts.append(index[triangles])
+        labels.append(np.full(len(triangles), number))
+        area = 0.5 * abs(float(np.sum((e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) * np.where(swap, -1.0, 1.0))))
+        caps.append(Cap(f"C{number + 1}", "flat end", center, normal, area))
+    return Surface(vertices, np.concatenate(parts), np.concatenate(labels), tuple(caps), "mesh")
+
+
+def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxel: float) -> Surface:
+    """Marching cubes of the union of tubes, their outer ends cut flat.
+
+    The level function is the distance to the nearest axis point less the radius there:
+    zero exactly on the tube. Where the plane of an end cuts, it is the distance to that
+    plane, which is linear, so that the cap comes out flat; its rim is chamfered by one voxel.
+
+    Parameters
+    ----------
+    axes : list of (Axis, radius, (bool, bool))
+        The flags say whether the first and last end is cut flat; the other ends, inside a
+        junction, are rounded off by a ball.
+    voxel : float, mm
+    """
+    clouds = [axis.at(np.linspace(0.0, axis.length, 200))[0] for axis, _, _ in axes]
+    widest = max(float(radius(np.linspace(0.0, axis.length, 400)).max()) for axis, radius, _ in axes)
+    cloud = np.concatenate(clouds)
+    # An offset that is no round share of a voxel keeps grid points off the surface, where facets would degenerate.
+    lower = cloud.min(axis=0) - widest - 3.0 * voxel - voxel * np.array([0.131, 0.237, 0.353])
+    count = np.ceil((cloud.max(axis=0) + widest + 3.0 * voxel - lower) / voxel).astype(int) + 1
+    grid = lower + voxel * np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), axis=-1).reshape(-1, 3)
+    level = np.full(len(grid), np.inf)
+    ends = []
+    for axis, radius, flat in axes:
+        distance, arc = axis.nearest(grid, widest + 3.0 * voxel)
+        tube = distance - radius(np.clip(arc, 0.0, axis.length))
+        points, frames = axis.at(np.array([0.0, axis.length]))
+        for end, sign, beyond in [(0, -1.0, -arc), (1, 1.0, arc - axis.length)]:
+            point, normal = points[end], sign * frames[end, :, 0]
+            if flat[end]:
+                near = beyond > -2.0
+                tube[near] = np.maximum(tube[near], (grid[near] - point) @ normal)
+                ends.append((point, normal, float(radius(np.array([0.0, axis.length]))[end])))
+            else:
+                past = (beyond > 0.0) & np.isfinite(distance)
+                tube[past] = np.linalg.norm(grid[past] - point, axis=1) - float(radius(np.array([0.0, axis.length]))[end])
+        level = np.minimum(level, tube)
+    level = np.where(np.isfinite(level), level, 3.0 * voxel).reshape(count)
+    vertices, faces, _, _ = marching_cubes(level.astype(np.float64), 0.0, gradient_direction="ascent")
+    vertices = lower + voxel * vertices.astype(np.float64)
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if np.einsum("ij,ij->", corners[:, 0] - lower, normals) < 0.0:
+        faces, normals = faces[:, ::-1], -normals
+    areas = np.linalg.norm(normals, axis=1)
+    labels, caps = np.full(len(faces), -1), []
+    for number, (point, normal, r) in enumerate(ends):
+        depth, offset = (corners - point) @ normal, np.linalg.norm(corners - point, axis=2)
+        cap = (
+            (np.abs(depth).max(axis=1) < 1.05 * voxel)
+            & (offset.max(axis=1) < r + voxel)
+            & (normals @ normal > RIM_COSINE * areas)
+        )
+        labels[cap] = number
+        caps.append(Cap(f"C{number + 1}", "flat end", point, normal, 0.5 * float(areas[cap].sum())))
+    return Surface(vertices, faces.astype(np.int64), labels, tuple(caps), "mesh")
