@@ -1,5 +1,16 @@
 """Curves, their curvature, and the gap between a curve and the wall."""
 
+from tubeplan_viz.geometry.bounds import Bound, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.geometry.curvature import circumcenter, menger_curvature
 from tubeplan_viz.geometry.curve import SplineCurve
+from tubeplan_viz.geometry.distance import WallDistance
 
-__all__ = ["SplineCurve"]
+__all__ = [
+    "Bound",
+    "SplineCurve",
+    "WallDistance",
+    "circumcenter",
+    "clearance_lower_bound",
+    "curvature_upper_bound",
+    "menger_curvature",
+]
