@@ -1,5 +1,27 @@
-"""result.json: its content, its schema, and the run as recording and report see it."""
+"""result.json and its schema, the run folder, exports, and the run as recording and report see it."""
 
+from tubeplan_viz.result.document import Provenance, build_result, plain, result_text
+from tubeplan_viz.result.errors import ResultError, RunFolderError
+from tubeplan_viz.result.exports import CSV_COLUMNS, path_csv, slicer_markups
+from tubeplan_viz.result.folder import RunFolder, file_sha256, is_run, read_result
 from tubeplan_viz.result.review import Review
+from tubeplan_viz.result.schema import result_schema, validate_result
 
-__all__ = ["Review"]
+__all__ = [
+    "CSV_COLUMNS",
+    "Provenance",
+    "ResultError",
+    "Review",
+    "RunFolder",
+    "RunFolderError",
+    "build_result",
+    "file_sha256",
+    "is_run",
+    "path_csv",
+    "plain",
+    "read_result",
+    "result_schema",
+    "result_text",
+    "slicer_markups",
+    "validate_result",
+]

@@ -1,0 +1,272 @@
+"""The run folder: whole or not there.
+
+Everything is written into a hidden neighbour ``.NAME.partial-XXXX``, flushed to the
+disk and renamed at the end. An error, Ctrl-C or a request to terminate removes the
+neighbour; a killed process leaves it under its hidden name.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import signal
+import tempfile
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, NoReturn, Self
+
+from tubeplan_viz.result.document import SOFTWARE, plain, result_text
+from tubeplan_viz.result.errors import RunFolderError
+from tubeplan_viz.result.schema import validate_result
+
+RESULT = "result.json"
+# Spec 0.3; a folder that holds anything else is never replaced.
+FILES = (RESULT, "case.toml", "report.html", "recording.rrd", "path.csv", "path.mrk.json", "mesh.ply")
+FULL = {
+    errno.ENOSPC: "the disk is full",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "a file would exceed the size limit",
+}
+ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+
+
+class RunFolder:
+    """Context manager in which a run's files are written; `finish` makes the folder appear.
+
+    Leaving the block without `finish` discards what was written. Folders are made
+    with mode 0700 and files 0600, since even a derived surface may show a face.
+
+    Parameters
+    ----------
+    target : Path
+        The folder to appear; its parent must exist.
+    force : bool
+        Replace an earlier run of that name. The old one is removed after the new
+        one is in its place.
+
+    Attributes
+    ----------
+    name : str
+        Name of the folder to appear.
+
+    Raises
+    ------
+    RunFolderError
+        On entering, if the target exists (without `force`), is no tubeplan run (with
+        `force`), or cannot be made there; on leaving, if the disk is full.
+
+    Examples
+    --------
+    >>> with RunFolder(Path(tempfile.mkdtemp()) / "case-1") as run:  # doctest: +SKIP
+    ...     run.write_text("path.csv", path_csv(plan.profile))
+    ...     run.finish(build_result(plan, frame="LPS", timings_s={}, provenance=provenance))
+    """
+
+    def __init__(self, target: Path, *, force: bool = False) -> None:
+        self._target = Path(os.path.abspath(target))
+        self._force = force
+        self._partial: Path | None = None
+        self._finished = False
+        self._handlers: dict[signal.Signals, Any] = {}
+
+    @property
+    def name(self) -> str:
+        """Name of the folder that will appear."""
+        return self._target.name
+
+    def __enter__(self) -> Self:
+        self._check_target()
+        parent = self._target.parent
+        if not parent.is_dir():
+            raise RunFolderError(f"{self.name}: its parent folder does not exist; make it first or choose another place")
+        self._catch_signals()
+        try:
+            self._partial = Path(tempfile.mkdtemp(prefix=f".{self.name}.partial-", dir=parent))
+        except OSError as fault:
+            self._release_signals()
+            reason = FULL.get(fault.errno or 0) or (fault.strerror or "the system refuses").lower()
+            raise RunFolderError(
+                f"{self.name}: no folder can be made there ({reason}); choose a place you may write to"
+            ) from fault
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            if not self._finished and self._partial is not None:
+                shutil.rmtree(self._partial, ignore_errors=True)
+        finally:
+            self._release_signals()
+        if isinstance(fault, OSError) and fault.errno in FULL:
+            raise RunFolderError(
+                f"{self.name}: {FULL[fault.errno]}, nothing was kept; make room or choose another place"
+            ) from fault
+
+    def path(self, name: str) -> Path:
+        """Where to write the file `name` while the run is unfinished."""
+        if self._partial is None or self._finished:
+            raise RunFolderError(f"{name}: the run folder is not open, expected between entering and finish")
+        if name not in FILES:
+            raise RunFolderError(f"{name} is no file of a run folder, expected one of {', '.join(FILES)}")
+        return self._partial / name
+
+    def write_bytes(self, name: str, content: bytes) -> None:
+        """Write one file, mode 0600, and flush it to the disk."""
+        descriptor = os.open(self.path(name), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def write_text(self, name: str, text: str) -> None:
+        """Write one UTF-8 text file with the line ends it has, mode 0600."""
+        self.write_bytes(name, text.encode("utf-8"))
+
+    def write_json(self, name: str, document: Any) -> None:
+        """Write one JSON file; numbers read back as the same doubles, none may be infinite or NaN."""
+        self.write_text(name, json.dumps(plain(document), allow_nan=False, indent=1) + "\n")
+
+    def finish(self, result: Mapping[str, Any]) -> dict[str, Any]:
+        """Write result.json with the digest of every other file, and let the folder appear.
+
+        Parameters
+        ----------
+        result : mapping
+            From `build_result`; not changed.
+
+        Returns
+        -------
+        dict
+            What result.json holds: `result` with ``provenance.outputs``.
+
+        Raises
+        ------
+        ResultError
+            If the result does not follow its schema.
+        RunFolderError
+            If the folder cannot appear under its name.
+        """
+        partial = self.path(RESULT).parent
+        names = sorted(entry.name for entry in partial.iterdir() if entry.name != RESULT)
+        foreign = [name for name in names if name not in FILES]
+        if foreign:
+            raise RunFolderError(f"{self.name}: {', '.join(foreign)} was left in the folder, expected only {', '.join(FILES)}")
+        document: dict[str, Any] = plain(result)
+        document["provenance"]["outputs"] = [{"name": name, "sha256": file_sha256(partial / name)} for name in names]
+        validate_result(document)
+        self.write_text(RESULT, result_text(document))
+        for name in names:
+            os.chmod(partial / name, 0o600)
+            _flush(partial / name)
+        _flush(partial)
+        self._appear(partial)
+        _flush(self._target.parent)
+        return document
+
+    def _appear(self, partial: Path) -> None:
+        self._check_target()
+        old: Path | None = None
+        try:
+            if os.path.lexists(self._target):
+                old = Path(tempfile.mkdtemp(prefix=f".{self.name}.replaced-", dir=self._target.parent))
+                os.rename(self._target, old)
+            os.rename(partial, self._target)
+            self._finished = True
+        except OSError as fault:
+            raise RunFolderError(
+                f"{self.name}: the finished run cannot take that name ({(fault.strerror or 'the system refuses').lower()}); "
+                "choose another name"
+            ) from fault
+        finally:
+            if old is not None and self._finished:
+                shutil.rmtree(old, ignore_errors=True)
+            elif old is not None and not os.path.lexists(self._target):
+                os.rename(old, self._target)
+
+    def _check_target(self) -> None:
+        if not self.name:
+            raise RunFolderError("the root of the file system cannot be a run folder; name a folder to be made")
+        if not os.path.lexists(self._target):
+            return
+        if self._target.is_symlink() or not self._target.is_dir():
+            raise RunFolderError(f"{self.name} exists and is no folder; choose another name")
+        here, home = Path.cwd(), Path.home()
+        if here.is_relative_to(self._target.resolve()) or home.is_relative_to(self._target.resolve()):
+            raise RunFolderError(
+                f"{self.name} is the home folder, the current folder or one that holds it; name a folder to be made"
+            )
+        if not self._force:
+            raise RunFolderError(f"{self.name} exists already; choose another name, or replace that run with --force")
+        present = sorted(entry.name for entry in self._target.iterdir())
+        foreign = [name for name in present if name not in FILES]
+        if foreign:
+            raise RunFolderError(
+                f"{self.name} holds {foreign[0]}, which is no part of a run, and is not replaced; choose another name"
+            )
+        if present and not is_run(self._target):
+            raise RunFolderError(
+                f"{self.name} is no tubeplan run (no result.json of one) and is not replaced; choose another name"
+            )
+
+    def _catch_signals(self) -> None:
+        # Python leaves at once on SIGTERM; as a KeyboardInterrupt it passes through __exit__ like Ctrl-C.
+        if threading.current_thread() is not threading.main_thread():
+            return
+        for number in ENDING_SIGNALS:
+            if signal.getsignal(number) is signal.SIG_DFL:
+                self._handlers[number] = signal.signal(number, _interrupt)
+
+    def _release_signals(self) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+        self._handlers = {}
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt(signal.Signals(number).name)
+
+
+def is_run(folder: Path) -> bool:
+    """Whether the folder's result.json says that tubeplan wrote it."""
+    try:
+        document = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        return bool(document["provenance"]["software"] == SOFTWARE)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def read_result(folder: Path) -> dict[str, Any]:
+    """The content of a run's result.json, checked.
+
+    Raises
+    ------
+    RunFolderError
+        If there is no run in the folder.
+    ResultError
+        If its result.json does not follow the schema.
+    """
+    if not is_run(folder):
+        raise RunFolderError(
+            f"{folder.name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made"
+        )
+    document: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    validate_result(document)
+    return document
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, lower-case hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,93 @@
+"""The JSON Schema of result.json, and what it cannot say."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from itertools import pairwise
+from typing import Any
+
+from jsonschema import Draft202012Validator
+
+from tubeplan_viz.result.errors import ResultError
+
+PATH_SPACING_MAX_MM = 0.25  # spec 0.4
+SPACING_ROUNDING_MM = 1e-9  # s_mm are differences of numbers near 1e3 mm
+
+
+@cache
+def result_schema() -> dict[str, Any]:
+    """The schema that ships with the package (JSON Schema 2020-12)."""
+    schema: dict[str, Any] = json.loads(files("tubeplan_viz.result").joinpath("result.schema.json").read_text(encoding="utf-8"))
+    return schema
+
+
+def validate_result(result: Mapping[str, Any]) -> None:
+    """Check a result, made of plain JSON values, against the schema and its own consistency.
+
+    Beyond the schema: lists that belong together have one length, the path's arc
+    length starts at 0 and rises by at most 0.25 mm, flagged intervals lie on the path.
+
+    Raises
+    ------
+    ResultError
+        Naming the first key that is wrong, what was found there and what is expected.
+    """
+    faults = Draft202012Validator(result_schema()).iter_errors(result)
+    first = min(faults, key=lambda fault: (len(fault.absolute_path), [str(key) for key in fault.absolute_path]), default=None)
+    if first is not None:
+        place = ".".join(str(key) for key in first.absolute_path) or "the top level"
+        message = first.message if len(first.message) < 200 else f"{first.message[:90]} ... {first.message[-90:]}"
+        raise ResultError(f"result.json: at {place}: {message}; expected as in result.schema.json, plan the case again")
+    _check_path(result)
+    _check_spline(result)
+
+
+def _check_path(result: Mapping[str, Any]) -> None:
+    path = result["path"]
+    if path is None:
+        if result["flagged_intervals"]:
+            raise ResultError(
+                "result.json: flagged_intervals is not empty, expected none where path is null; plan the case again"
+            )
+        return
+    lengths = {key: len(values) for key, values in path.items()}
+    if len(set(lengths.values())) > 1:
+        raise ResultError(f"result.json: the lists of path have the lengths {lengths}, expected one length; plan the case again")
+    s = path["s_mm"]
+    steps = [after - before for before, after in pairwise(s)]
+    if s[0] != 0.0 or min(steps) <= 0.0 or max(steps) > PATH_SPACING_MAX_MM + SPACING_ROUNDING_MM:
+        raise ResultError(
+            f"result.json: path.s_mm starts at {s[0]:g} with steps of {min(steps):.4g} to {max(steps):.4g} mm, "
+            f"expected to start at 0 and rise by at most {PATH_SPACING_MAX_MM} mm; plan the case again"
+        )
+    for index, flag in enumerate(result["flagged_intervals"]):
+        ordered = -1e-6 <= flag["from_mm"] <= flag["worst_at_mm"] <= flag["to_mm"] <= s[-1] + 1e-6
+        if not ordered:
+            raise ResultError(
+                f"result.json: flagged_intervals.{index} runs from {flag['from_mm']:g} to {flag['to_mm']:g} mm with its worst at "
+                f"{flag['worst_at_mm']:g} mm, expected an interval of 0 to {s[-1]:g} mm around its worst; plan the case again"
+            )
+    centerline = result["centerline"]
+    if centerline is not None and len(centerline["points_mm"]) != len(centerline["radius_mm"]):
+        raise ResultError(
+            f"result.json: centerline has {len(centerline['points_mm'])} points and {len(centerline['radius_mm'])} radii, "
+            "expected as many; plan the case again"
+        )
+
+
+def _check_spline(result: Mapping[str, Any]) -> None:
+    spline = result["spline"]
+    if spline is None:
+        return
+    degree, knots, count = spline["degree"], spline["knots"], len(spline["control_points_mm"])
+    end = degree + 1
+    if len(knots) != count + end or count < end:
+        raise ResultError(
+            f"result.json: spline has {len(knots)} knots for {count} control points, expected {count + end} (degree {degree}) "
+            f"and at least {end} control points; plan the case again"
+        )
+    if any(knots[:end]) or any(knot != 1.0 for knot in knots[-end:]) or knots != sorted(knots) or knots[end : end + 1] == [0.0]:
+        raise ResultError("result.json: spline.knots are not clamped and rising from 0 to 1 as expected; plan the case again")
