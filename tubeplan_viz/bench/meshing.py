@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -38,11 +39,7 @@ def sweep(
         Arc lengths that need a ring of their own (kinks of the radius).
     """
     kinks = np.unique(np.concatenate([[0.0, axis.length], sites if sites is not None else []]))
-    s = np.unique(
-        np.concatenate(
-            [np.linspace(a, b, max(int(np.ceil((b - a) / edge)), 1) + 1) for a, b in zip(kinks, kinks[1:], strict=False)]
-        )
-    )
+    s = np.unique(np.concatenate([np.linspace(a, b, max(int(np.ceil((b - a) / edge)), 1) + 1) for a, b in pairwise(kinks)]))
     r = radius(s)
     around = max(int(np.ceil(2.0 * np.pi * float(r.max()) / edge / 2.0)) * 2, 12)
     half_edge = np.pi / around

@@ -72,12 +72,12 @@ class Model:
     @property
     def start(self) -> FloatArray:
         """Middle of cap C1, (3,) mm."""
-        return self.axis_points[0]
+        return np.asarray(self.axis_points[0])
 
     @property
     def goal(self) -> FloatArray:
         """Middle of cap C2, (3,) mm."""
-        return self.axis_points[-1]
+        return np.asarray(self.axis_points[-1])
 
     @property
     def length(self) -> float:
@@ -123,14 +123,14 @@ def bent_cylinder_1(
     return _tube(name, planar_axis(pieces), _constant(radius), meshing, noise, rng)
 
 
-def variant_1(**options: object) -> Model:
+def variant_1(*, meshing: Meshing = "swept", noise: float = 0.0, rng: np.random.Generator | None = None) -> Model:
     """Bent cylinder 1 with bends of 10, 13, 16 and 19 mm; options as there."""
-    return bent_cylinder_1((10.0, 13.0, 16.0, 19.0), name="variant 1", **options)  # type: ignore[arg-type]
+    return bent_cylinder_1((10.0, 13.0, 16.0, 19.0), meshing=meshing, noise=noise, rng=rng, name="variant 1")
 
 
-def variant_2(**options: object) -> Model:
+def variant_2(*, meshing: Meshing = "swept", noise: float = 0.0, rng: np.random.Generator | None = None) -> Model:
     """Bent cylinder 1 with bends of 8, 12, 16 and 20 mm; options as there."""
-    return bent_cylinder_1((8.0, 12.0, 16.0, 20.0), name="variant 2", **options)  # type: ignore[arg-type]
+    return bent_cylinder_1((8.0, 12.0, 16.0, 20.0), meshing=meshing, noise=noise, rng=rng, name="variant 2")
 
 
 def bent_cylinder_2(*, meshing: Meshing = "swept", noise: float = 0.0, rng: np.random.Generator | None = None) -> Model:
