@@ -14,9 +14,13 @@ from typing import Any
 import numpy as np
 
 from segmentation.arrays import BoolArray, FloatArray, frozen_array
-from segmentation.errors import CaseError
+from segmentation.errors import CaseError, TubeplanError
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import SplineCurve
+
+
+class NoPathError(TubeplanError):
+    """No path can even be begun: start and goal are not joined (exit status 4)."""
 
 
 class PlanStatus(StrEnum):

@@ -1,7 +1,17 @@
 """Middle lines of lumens with inscribed radii, their branches and their tips."""
 
+from tubeplan_viz.centerline.endpoints import Endpoint, find_endpoints
 from tubeplan_viz.centerline.line import Centerline
 from tubeplan_viz.centerline.trace import CenterlineSettings, even_points, trace_centerline
 from tubeplan_viz.centerline.voronoi import VoronoiGraph, voronoi_graph
 
-__all__ = ["Centerline", "CenterlineSettings", "VoronoiGraph", "even_points", "trace_centerline", "voronoi_graph"]
+__all__ = [
+    "Centerline",
+    "CenterlineSettings",
+    "Endpoint",
+    "VoronoiGraph",
+    "even_points",
+    "find_endpoints",
+    "trace_centerline",
+    "voronoi_graph",
+]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BPoly, PPoly
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import GeometryError
@@ -34,11 +33,12 @@ def bezier_pieces(curve: SplineCurve) -> tuple[FloatArray, FloatArray]:
     """Bezier control points (m, 4, 3) of a cubic's knot spans, and their parameter ranges (m, 2)."""
     if curve.degree != 3:
         raise GeometryError(f"the spline has degree {curve.degree}, expected 3")
-    ppoly = PPoly.from_spline((curve.knots, curve.control_points, curve.degree))
-    spans = np.diff(ppoly.x) > 0
-    bernstein = BPoly.from_power_basis(ppoly)
-    control = np.moveaxis(bernstein.c, 1, 0)[spans]
-    return np.ascontiguousarray(control), np.column_stack([ppoly.x[:-1], ppoly.x[1:]])[spans]
+    breaks = np.unique(curve.knots)
+    a, b = breaks[:-1], breaks[1:]
+    third = ((b - a) / 3.0)[:, None]
+    # A cubic is fixed by its end points and end derivatives: the inner Bezier points follow.
+    control = np.stack([curve(a), curve(a) + third * curve(a, 1), curve(b) - third * curve(b, 1), curve(b)], axis=1)
+    return control, np.column_stack([a, b])
 
 
 def halves(control: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:

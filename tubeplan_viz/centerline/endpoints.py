@@ -1,0 +1,196 @@
+"""Proposals for start and goal: the tips of the lumen's tree, labelled E1, E2, ..."""
+
+# Strategy: a shortest-path tree with cost 1/R grows from a root through the Voronoi graph.
+# The node farthest beyond what is covered becomes a tip; the branch back to the covered
+# part is covered with everything that its inscribed spheres hold; and so on until the
+# next branch would be no longer than the lumen is wide there.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.spatial import cKDTree
+
+from segmentation.arrays import FloatArray, IntArray, frozen_array
+from tubeplan_viz.centerline.trace import CenterlineSettings
+from tubeplan_viz.centerline.voronoi import VoronoiGraph
+from tubeplan_viz.geometry import WallDistance
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Endpoint:
+    """One tip of the lumen.
+
+    Attributes
+    ----------
+    label : str
+        ``E1`` is the root, the others follow by falling branch length.
+    point : (3,) float array, mm
+    radius : float, mm
+        Largest inscribed sphere there; on a cap the distance to the wall beside it.
+    branch_length : float, mm
+        From the tip to the branch that was there before it (for the root: to the farthest tip).
+    confidence : float
+        0 to 1: how sure it is that this is a branch and not a bulge of the wall. A branch
+        as long as the lumen is wide at its foot has 0, one three times as long 0.86.
+    cap : str or None
+        Label of the cap on whose centre the tip was put.
+    """
+
+    label: str
+    point: FloatArray
+    radius: float
+    branch_length: float
+    confidence: float
+    cap: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", frozen_array(self.point, (3,), "endpoint"))
+
+
+def find_endpoints(graph: VoronoiGraph, wall: WallDistance, *, root: ArrayLike | None = None, settings: CenterlineSettings | None = None) -> tuple[Endpoint, ...]:
+    """Tips of the lumen's tree.
+
+    Parameters
+    ----------
+    graph : VoronoiGraph
+    wall : WallDistance
+    root : (3,) array_like, mm, optional
+        Where the tree begins; by default the largest cap, otherwise one end of the longest way through.
+    """
+    settings = settings or CenterlineSettings()
+    caps = wall.surface.caps
+    matrix = graph.matrix(graph.edge_costs(settings.omega))
+    first = nearest_node(graph, caps[0].center if root is None and caps else root)
+    part = connected_components(matrix, directed=False)[1]
+    members = part == part[first]
+    if root is None and not caps:
+        first = farthest(graph, graph.matrix(graph.lengths), first, members)
+    cost, previous = dijkstra(matrix, directed=False, indices=first, return_predecessors=True)
+    order = np.argsort(cost, kind="stable")
+    length = path_lengths(graph, order, previous, cost)
+    tree = cKDTree(graph.nodes)
+    covered = ~members | ~np.isfinite(cost)
+    covered[first] = True
+    tips: list[tuple[int, float, float]] = []
+    beyond = np.zeros(len(graph.nodes))
+    while True:
+        beyond = lengths_beyond(order, previous, length, covered)
+        tip = int(np.argmax(beyond))
+        foot = tip
+        branch = [tip]
+        while not covered[foot]:
+            foot = int(previous[foot])
+            branch.append(foot)
+        width = 2.0 * float(graph.radii[foot])
+        if len(branch) < 2 or (tips and beyond[tip] < max(width, 3.0 * settings.step)):
+            break
+        tips.append((tip, float(beyond[tip]), width))
+        for ball in tree.query_ball_point(graph.nodes[branch], 1.5 * graph.radii[branch] + settings.step):
+            covered[ball] = True
+    found = [(root_end(graph, previous, tips, first), max((b for _, b, _ in tips), default=0.0), 0.0)]
+    found += [(retreat(graph, wall, previous, tip, b), b, w) for tip, b, w in sorted(tips, key=lambda t: -t[1])]
+    return tuple(label_tips(graph, wall, found))
+
+
+def nearest_node(graph: VoronoiGraph, point: ArrayLike | None) -> int:
+    """The widest Voronoi vertex whose sphere holds the point, else the nearest; without a point the widest of all."""
+    if point is None:
+        return int(np.argmax(graph.radii))
+    gap = np.linalg.norm(graph.nodes - np.asarray(point, dtype=float), axis=1)
+    holding = np.flatnonzero(gap <= graph.radii)
+    return int(holding[np.argmax(graph.radii[holding])]) if len(holding) else int(np.argmin(gap))
+
+
+def farthest(graph: VoronoiGraph, matrix: object, node: int, members: FloatArray) -> int:
+    """The reachable node farthest from `node`."""
+    distance = dijkstra(matrix, directed=False, indices=node)
+    return int(np.argmax(np.where(members & np.isfinite(distance), distance, -1.0)))
+
+
+def path_lengths(graph: VoronoiGraph, order: IntArray, previous: IntArray, cost: FloatArray) -> FloatArray:
+    """Length of the tree path from the root to every node, mm."""
+    length = np.zeros(len(graph.nodes))
+    step = np.zeros(len(graph.nodes))
+    has = previous >= 0
+    step[has] = np.linalg.norm(graph.nodes[has] - graph.nodes[previous[has]], axis=1)
+    for node in order:
+        if not np.isfinite(cost[node]):
+            break
+        if previous[node] >= 0:
+            length[node] = length[previous[node]] + step[node]
+    return length
+
+
+def lengths_beyond(order: IntArray, previous: IntArray, length: FloatArray, covered: FloatArray) -> FloatArray:
+    """For every node the length of its tree path outside the covered part, mm."""
+    foot = np.where(covered, length, 0.0)
+    for node in order[~covered[order]]:
+        foot[node] = foot[previous[node]]
+    return np.where(covered, 0.0, length - foot)
+
+
+def retreat(graph: VoronoiGraph, wall: WallDistance, previous: IntArray, tip: int, branch_length: float) -> int:
+    """Walk back from a tip, at most a third of its branch, until the lumen is half as wide as the branch is.
+
+    The very tip lies in a corner of the wall; an instrument's end belongs where there is room.
+    """
+    chain, gone = [tip], 0.0
+    while gone < branch_length and previous[chain[-1]] >= 0:
+        node = int(previous[chain[-1]])
+        gone += float(np.linalg.norm(graph.nodes[node] - graph.nodes[chain[-1]]))
+        chain.append(node)
+    radii = wall.distance(graph.nodes[chain])
+    enough = 0.5 * float(np.median(radii))
+    gone = 0.0
+    for k, node in enumerate(chain):
+        if radii[k] >= enough or gone > branch_length / 3.0:
+            return node
+        if k + 1 < len(chain):
+            gone += float(np.linalg.norm(graph.nodes[chain[k + 1]] - graph.nodes[node]))
+    return chain[0]
+
+
+def root_end(graph: VoronoiGraph, previous: IntArray, tips: list[tuple[int, float, float]], first: int) -> int:
+    """The root itself, moved along the longest branch to where the lumen has half its usual width."""
+    if not tips:
+        return first
+    chain = [tips[0][0]]
+    while previous[chain[-1]] >= 0:
+        chain.append(int(previous[chain[-1]]))
+    chain = chain[::-1]
+    enough = 0.5 * float(np.median(graph.radii[chain]))
+    for node in chain[: max(len(chain) // 3, 1)]:
+        if graph.radii[node] >= enough:
+            return node
+    return first
+
+
+def label_tips(graph: VoronoiGraph, wall: WallDistance, found: list[tuple[int, float, float]]) -> list[Endpoint]:
+    """Endpoints with labels; a tip beside a cap is put on the cap's centre, where no wall is in the way."""
+    tips: list[Endpoint] = []
+    for node, branch, width in found:
+        point, cap = graph.nodes[node], None
+        for candidate in wall.surface.caps:
+            reach = np.sqrt(candidate.area / np.pi)
+            center_is_inside = bool(wall.inside(candidate.center)[0])
+            if center_is_inside and np.linalg.norm(candidate.center - point) < 2.0 * reach + 1.0:
+                point, cap = candidate.center, candidate.label
+                break
+        if any(np.linalg.norm(point - tip.point) < 1.0 for tip in tips):
+            continue
+        confidence = 1.0 if width == 0.0 or cap else float(1.0 - np.exp(-max(branch / width - 1.0, 0.0)))
+        tips.append(
+            Endpoint(
+                label=f"E{len(tips) + 1}",
+                point=point,
+                radius=float(wall.distance(point)[0]),
+                branch_length=branch,
+                confidence=round(confidence, 3),
+                cap=cap,
+            )
+        )
+    return tips
