@@ -113,12 +113,12 @@ def read_surface(
         warnings.append(f"{name}: {degenerate} degenerate and {repeated} repeated faces were dropped")
     vertices, faces, touching = separate_sheets(vertices, faces, name)
     if touching:
-        warnings.append(f"{name}: the wall touches itself along {touching} edges and was cut apart there")
+        warnings.append(f"{name}: the wall touches itself along {touching} edge(s) and was cut apart there")
     point = None if near is None else np.asarray(near, dtype=float)
     vertices, faces, dropped = _one_component(vertices, faces, point)
     if dropped:
         warnings.append(
-            f"{name}: {dropped[0]} further components ({dropped[1]} faces) were dropped; the part kept is {_kept_words(point)}"
+            f"{name}: {dropped[0]} further component(s) with {dropped[1]} faces dropped; the part kept is {_kept_words(point)}"
         )
     surface, notes = _closed(vertices, faces, name)
     facts = _facts(parsed.format, unit, surface)
@@ -195,15 +195,14 @@ def _closed(vertices: FloatArray, faces: IntArray, name: str) -> tuple[Surface, 
     area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
     if volume < 1e-4 * area**1.5:
         raise SurfaceError(
-            f"{name}: the mesh encloses {volume:.3g} mm^3 within {area:.3g} mm^2 of faces; it is a sheet, no tube: give a closed wall"
+            f"{name}: the mesh encloses {volume:.3g} mm^3 within {area:.3g} mm^2 of faces; "
+            "it is a sheet, no tube: give a closed wall"
         )
     if not closed_and_oriented(faces).all():
         raise SurfaceError(f"{name}: the mesh touches itself and cannot be closed two-sidedly; repair it in a mesh editor")
     handles = 1 - (len(np.unique(faces)) - len(faces) // 2) // 2
     if handles:
-        notes.append(
-            f"the wall has {handles} {'handle' if handles == 1 else 'handles'} (a loop, or an inner and an outer wall); a tube or tree has none"
-        )
+        notes.append(f"the wall has {handles} handle(s), by a loop or an inner and an outer wall; a tube or tree has none")
     return Surface(vertices, faces, face_cap, caps, "mesh"), notes
 
 

@@ -87,18 +87,35 @@ def merge_vertices(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, I
 
 
 def clean_faces(faces: IntArray) -> tuple[IntArray, int, int]:
-    """Faces without those that name a vertex twice or repeat another; and how many of each went."""
+    """Faces without those that name a vertex twice or repeat another; and how many of each went.
+
+    Two faces on the same vertices that look opposite ways are a collapsed flap: both go, which
+    keeps a closed mesh closed. Where most faces are such pairs the file was written two-sided,
+    and one of each stays.
+    """
     sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     kept = faces[sound]
+    degenerate = len(faces) - len(kept)
     if not len(kept):
-        return kept, int((~sound).sum()), 0
+        return kept, degenerate, 0
     order = np.sort(kept, axis=1)
     span = int(order.max()) + 1
-    if span < 2_000_000:
-        _, first = np.unique((order[:, 0] * span + order[:, 1]) * span + order[:, 2], return_index=True)
-    else:
-        _, first = np.unique(order, axis=0, return_index=True)
-    return kept[np.sort(first)], int((~sound).sum()), len(kept) - len(first)
+    columns = order[:, :1] * span + order[:, 1:2]
+    _, first, inverse, count = np.unique(
+        columns[:, 0] * span + order[:, 2] if span < 2_000_000 else np.column_stack([columns, order[:, 2]]),
+        axis=None if span < 2_000_000 else 0,
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
+    )
+    if len(first) == len(kept):
+        return kept, degenerate, 0
+    # +1 for an even permutation of the sorted vertices, -1 for an odd one.
+    sense = np.sign((kept[:, 1] - kept[:, 0]) * (kept[:, 2] - kept[:, 1]) * (kept[:, 0] - kept[:, 2])) * -1
+    flap = (count > 1) & (np.bincount(inverse.ravel(), weights=sense) == 0.0)
+    stays = np.ones(len(first), dtype=bool) if 2 * int(flap.sum()) > len(first) else ~flap
+    chosen = np.sort(first[stays])
+    return kept[chosen], degenerate, len(kept) - len(chosen)
 
 
 def face_components(faces: IntArray, edges: EdgeMap) -> tuple[int, IntArray]:
@@ -170,7 +187,7 @@ def separate_sheets(vertices: FloatArray, faces: IntArray, name: str) -> tuple[F
     graph = coo_array((np.ones(len(links_a)), (links_a, links_b)), shape=(3 * len(faces),) * 2)
     _, fan = connected_components(graph, directed=False)
     corner = faces.ravel().copy()
-    extra = []
+    extra: list[FloatArray] = []
     for vertex in np.unique(edges.ends[crowded]):
         mine = np.flatnonzero(corner == vertex)
         for number in np.unique(fan[mine])[1:]:
