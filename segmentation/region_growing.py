@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-from segmentation.arrays import BoolArray, FloatArray, frozen_array
+import numpy as np
+
+from segmentation.arrays import BoolArray, FloatArray, IntArray, VoxelArray, frozen_array
+from segmentation.errors import RegionError
+from segmentation.flooding import BLOCKED, flood
+from segmentation.leak import LeakRule, leak_index, leak_voxel
+from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, STEPS_PER_HU, growing_voxels
+from segmentation.volume import Volume
+
+FACES = (("first slice", "last slice"), ("first row", "last row"), ("first column", "last column"))
+
+# A flood for a curve goes on past the greatest plausible volume to show the explosion.
+CURVE_BEYOND = 2.5
+
+# A seed a little off the lumen is answered with the nearest voxel that would do.
+NEAR = 10.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +74,8 @@ class Region:
         Voxels on each face of the image that the region touches, e.g. ``{"first slice": 120}``.
     curve : GrowthCurve or None
         Present when a limit was chosen automatically.
+    smoothing : float, mm
+        Standard deviation of the Gaussian that was applied before growing, 0 for none.
     """
 
     mask: BoolArray
@@ -68,6 +86,180 @@ class Region:
     volume_ml: float
     border: dict[str, int]
     curve: GrowthCurve | None = None
+    smoothing: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mask", frozen_array(self.mask, (None, None, None), "mask", dtype=bool))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrowthSettings:
+    """How a region grows.
+
+    Attributes
+    ----------
+    hu_min, hu_max : float, HU
+        Both belong to the region. The one named by `varied` is the loosest that the search may try.
+    varied : {"hu_max", "hu_min"} or None
+        The limit to choose automatically: ``hu_max`` for a dark lumen, ``hu_min`` for a bright one.
+    leak : LeakRule
+        Without `varied`, only its `volume_max` is used: growth beyond it is refused.
+    connectivity : {6, 26}
+    smoothing : float, mm
+        Standard deviation of the Gaussian before growing, 0 for none.
+    """
+
+    hu_min: float
+    hu_max: float
+    varied: str | None
+    leak: LeakRule
+    connectivity: int = 6
+    smoothing: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.varied not in (None, "hu_max", "hu_min") or self.connectivity not in (6, 26):
+            raise ValueError(f"varied is {self.varied!r} and connectivity {self.connectivity}, expected hu_max, hu_min or None and 6 or 26")
+        if not self.hu_min < self.hu_max:
+            raise RegionError(f"the limits are {self.hu_min:g} to {self.hu_max:g} HU; the lower one must be below the upper")
+
+
+def grow(
+    volume: Volume, seed: tuple[int, int, int], settings: GrowthSettings, *, progress: Callable[[int, int], None] | None = None
+) -> Region:
+    """Grow a region from a seed voxel between HU limits.
+
+    With `settings.varied` the region is grown through all limits 1 HU apart in one
+    pass, from the seed's own value to the loosest; the limit is set before the
+    explosion by the margin of the leak rule, or to the loosest when nothing leaks.
+
+    Parameters
+    ----------
+    volume : Volume
+    seed : (3,) int tuple
+        ``[slice, row, column]``.
+    settings : GrowthSettings
+    progress : callable, optional
+        Called with the number of limits done and their count.
+
+    Raises
+    ------
+    RegionError
+        If the seed lies outside the limits, or the region leaks.
+    """
+    values = growing_voxels(volume, smoothing=settings.smoothing)
+    seed_hu = float(values[seed]) / STEPS_PER_HU
+    _check_seed(volume, values, seed, settings)
+    # Everything is told in terms of a dark lumen: a bright one is turned upside down.
+    bright = settings.varied == "hu_min"
+    fixed = settings.hu_max if bright else settings.hu_min
+    loosest = settings.hu_min if bright else settings.hu_max
+    sign = -1 if bright else 1
+    outside = values > fixed * STEPS_PER_HU if bright else values < fixed * STEPS_PER_HU
+    values *= np.int16(sign)
+    values[outside] = BLOCKED
+    del outside
+    tightest = sign * seed_hu if settings.varied else sign * loosest
+    limits = np.arange(np.ceil(tightest), np.floor(sign * loosest) + 1.0) if settings.varied else np.array([sign * loosest])
+    held_max = settings.leak.volume_max * (CURVE_BEYOND if settings.varied else 1.0)
+    flooded = flood(
+        values,
+        seed,
+        np.floor(limits * STEPS_PER_HU).astype(np.int64),
+        connectivity=settings.connectivity,
+        voxels_max=int(held_max / volume.voxel_ml),
+        progress=progress,
+    )
+    volumes = flooded.counts * volume.voxel_ml
+    limits = limits[: len(volumes)]
+    if not settings.varied:
+        if not flooded.complete:
+            raise RegionError(_too_much(volume, seed_hu, settings))
+        return _region(volume, seed, np.concatenate(flooded.joined), settings, None)
+
+    leak = leak_index(volumes, settings.leak)
+    if leak is None:
+        chosen = len(limits) - 1
+    else:
+        lumen = np.concatenate(flooded.joined[:leak])
+        median = float(np.median(values.ravel()[lumen])) / STEPS_PER_HU if len(lumen) else sign * seed_hu
+        margin = max(settings.leak.margin, settings.leak.margin_share * (limits[leak] - median))
+        chosen = int(np.searchsorted(limits, limits[leak] - margin, side="right")) - 1
+        if chosen < 0 or volumes[chosen] < 0.5 * min(volumes[leak - 1], settings.leak.volume_min):
+            raise RegionError(
+                f"the region leaks at {sign * limits[leak]:.0f} HU, from {volumes[leak - 1]:.2f} to over {volumes[leak]:.0f} ml, too close to the "
+                f"seed's {seed_hu:.0f} HU to stop before it; smooth the image first, move the seed to the middle of the lumen, or give the limit"
+            )
+    where, point = None, None
+    if leak is not None:
+        held = np.concatenate(flooded.joined[:leak])
+        where = leak_voxel(flooded.joined[leak], held, values.ravel()[flooded.joined[leak]], values.shape)
+        point = volume.to_lps(where)
+    curve = GrowthCurve(
+        varied=settings.varied,
+        limits=sign * limits,
+        volumes_ml=volumes,
+        chosen=float(sign * limits[chosen]),
+        leak_limit=None if leak is None else float(sign * limits[leak]),
+        leak_voxel=where,
+        leak_point=point,
+    )
+    return _region(volume, seed, np.concatenate(flooded.joined[: chosen + 1]), settings, curve)
+
+
+def _check_seed(volume: Volume, values: VoxelArray, seed: tuple[int, int, int], settings: GrowthSettings) -> None:
+    """Refuse a seed outside the limits and name the nearest voxel inside."""
+    low, high = settings.hu_min * STEPS_PER_HU, settings.hu_max * STEPS_PER_HU
+    if low <= values[seed] <= high:
+        return
+    reach = np.ceil(NEAR / volume.spacing).astype(int)
+    lower = np.maximum(np.array(seed) - reach, 0)
+    box = values[tuple(slice(a, s + r + 1) for a, s, r in zip(lower, seed, reach, strict=True))]
+    inside = np.argwhere((box >= low) & (box <= high)) + lower
+    hint = f"no voxel within {NEAR:g} mm lies between them; check the seed and the limits"
+    if len(inside):
+        away = np.linalg.norm((inside - seed) * volume.spacing, axis=1)
+        nearest = int(np.argmin(away))
+        point = ", ".join(f"{x:.1f}" for x in volume.to_lps(inside[nearest]))
+        hint = f"the nearest voxel between them is {away[nearest]:.1f} mm away at LPS ({point}) mm: take it as the seed if that is the lumen"
+    smoothed = " after smoothing" if settings.smoothing > 0 else ""
+    raise RegionError(
+        f"nothing grows: the seed has {values[seed] / STEPS_PER_HU:.0f} HU{smoothed}, outside the limits {settings.hu_min:g} to {settings.hu_max:g} HU; {hint}"
+    )
+
+
+def _too_much(volume: Volume, seed_hu: float, settings: GrowthSettings) -> str:
+    whole = volume.voxels.size * volume.voxel_ml
+    return (
+        f"the region leaks: between {settings.hu_min:g} and {settings.hu_max:g} HU it holds more than {settings.leak.volume_max:.0f} ml "
+        f"(the whole image {whole:.0f} ml, the seed {seed_hu:.0f} HU); tighten the limits, or let one be chosen with 'auto'"
+    )
+
+
+def _region(volume: Volume, seed: tuple[int, int, int], grown: IntArray, settings: GrowthSettings, curve: GrowthCurve | None) -> Region:
+    """The grown voxels as a cropped mask with what it touches."""
+    shape = volume.voxels.shape
+    index = np.column_stack(np.unravel_index(grown, shape))
+    lower = np.maximum(index.min(axis=0) - 1, 0)
+    upper = np.minimum(index.max(axis=0) + 2, shape)
+    mask = np.zeros(upper - lower, dtype=bool)
+    mask[tuple((index - lower).T)] = True
+    border = {}
+    for axis, names in enumerate(FACES):
+        for name, place in zip(names, (0, shape[axis] - 1), strict=True):
+            count = int(np.count_nonzero(index[:, axis] == place))
+            if count:
+                border[name] = count
+    hu_min, hu_max = settings.hu_min, settings.hu_max
+    if curve is not None:
+        hu_min, hu_max = (curve.chosen, hu_max) if curve.varied == "hu_min" else (hu_min, curve.chosen)
+    return Region(
+        mask=mask,
+        lower=(int(lower[0]), int(lower[1]), int(lower[2])),
+        seed=seed,
+        hu_min=max(hu_min, float(HU_LOWEST)),
+        hu_max=min(hu_max, float(HU_HIGHEST)),
+        volume_ml=len(grown) * volume.voxel_ml,
+        border=border,
+        curve=curve,
+        smoothing=settings.smoothing,
+    )

@@ -1,0 +1,114 @@
+"""Where a grown volume explodes as its limit is loosened, and which limit to use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from segmentation.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeakRule:
+    """What counts as a leak, and how far before it the limit is set.
+
+    Attributes
+    ----------
+    volume_min : float, ml
+        Growth is not judged before the region holds this much: a seed's pocket joining
+        its own lumen is a large step too.
+    volume_max : float, ml
+        More than any lumen of this anatomy; a region beyond it has leaked.
+    jump : float, ml
+        Least step that counts as an explosion. On the four real airways the step is 360 ml
+        and more (the flood is stopped there), the largest step without a leak 2 ml.
+    factor : float
+        Least ratio of the volumes before and after an explosion.
+    window : int, HU
+        The step is taken over this many HU, since a leak through several weak voxels
+        may take a few.
+    margin : float, HU
+        Least distance of the chosen limit to the leak.
+    margin_share : float
+        The distance as a share of the way from the lumen's median to the leak, if that is more.
+    """
+
+    volume_min: float
+    volume_max: float
+    jump: float
+    factor: float = 1.5
+    window: int = 5
+    margin: float = 20.0
+    margin_share: float = 0.15
+
+
+def leak_index(volumes: FloatArray, rule: LeakRule) -> int | None:
+    """Index of the first limit, from tight to loose, at which the region has leaked.
+
+    Parameters
+    ----------
+    volumes : (n,) float array, ml
+        Grown volume at limits 1 HU apart, rising.
+    rule : LeakRule
+
+    Returns
+    -------
+    int or None
+        None when the volume never explodes nor passes `rule.volume_max`.
+    """
+    last = len(volumes) - 1
+    for index in range(1, len(volumes)):
+        before = volumes[max(index - rule.window, 0) : index]
+        before = before[before >= rule.volume_min]
+        grown = volumes[index] - before
+        if np.any((grown > rule.jump) & (volumes[index] > rule.factor * before)):
+            first = index - len(before)
+            return first + 1 + int(np.argmax(np.diff(volumes[first : index + 1])))
+        if volumes[index] > rule.volume_max:
+            last = index
+            break
+    if volumes[last] <= rule.volume_max:
+        return None
+    # A slow leak: the steepest relative step on the way to the impossible volume.
+    judged = np.flatnonzero(volumes[:last] >= rule.volume_min)
+    if len(judged) == 0:
+        return last
+    steps = np.diff(np.log(volumes[judged[0] : last + 1]))
+    return int(judged[0]) + 1 + int(np.argmax(steps))
+
+
+def leak_voxel(joined: IntArray, held: IntArray, values: FloatArray, shape: tuple[int, int, int]) -> tuple[int, int, int]:
+    """The voxel through which the leak begins.
+
+    Of the voxels that joined at the leaking limit, the largest connected part is the
+    leak; its lowest voxel that touches the region before is the gap in the wall.
+
+    Parameters
+    ----------
+    joined, held : (n,) and (m,) int array
+        Flat indices of the voxels that joined at the leaking limit, and before it.
+    values : (n,) array
+        Grey values of `joined`, lower is further inside.
+    shape : (3,) int tuple
+        Shape of the image.
+    """
+    index = np.column_stack(np.unravel_index(joined, shape))
+    lower = np.maximum(index.min(axis=0) - 1, 0)
+    upper = np.minimum(index.max(axis=0) + 2, shape)
+    box = np.zeros(upper - lower, dtype=bool)
+    box[tuple((index - lower).T)] = True
+    structure = ndimage.generate_binary_structure(3, 3)
+    labels, count = ndimage.label(box, structure)
+    label = labels[tuple((index - lower).T)]
+    largest = 1 + int(np.argmax(np.bincount(label, minlength=count + 1)[1:]))
+
+    before = np.column_stack(np.unravel_index(held, shape))
+    before = before[np.all((before >= lower) & (before < upper), axis=1)] - lower
+    box[:] = False
+    box[tuple(before.T)] = True
+    touching = ndimage.binary_dilation(box, structure)[tuple((index - lower).T)]
+    gate = np.flatnonzero((label == largest) & touching)
+    chosen = index[gate[np.argmin(values[gate])]]
+    return int(chosen[0]), int(chosen[1]), int(chosen[2])
