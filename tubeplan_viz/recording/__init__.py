@@ -1,1 +1,9 @@
-"""Rerun recordings of planning runs: the only home of rerun."""
+"""Rerun recordings of planning runs: the only home of rerun.
+
+Importing this package does not load rerun; the first recording opened or read does.
+"""
+
+from tubeplan_viz.recording.readback import RecordedIteration, RecordedRun, read_recording
+from tubeplan_viz.recording.stream import Recording
+
+__all__ = ["RecordedIteration", "RecordedRun", "Recording", "read_recording"]

@@ -1,0 +1,168 @@
+"""How a recording opens: the views, what each shows, and from where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from segmentation.arrays import FloatArray
+from tubeplan_viz.plan import FlagKind, Limits
+from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.slices import FIELD_MM, PIXEL_MM
+
+FIELD_OF_VIEW = np.deg2rad(55.0)
+PLAY_FPS = 20.0
+BACKGROUND = (18, 20, 24)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """What a recording holds and so what its layout must show."""
+
+    limits: Limits
+    frame: str
+    has_ct: bool = False
+    has_growth: bool = False
+    has_walk: bool = False
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Viewpoint:
+    """Eye of the 3D view: position and target in mm, and the direction that is up on the screen, each (3,)."""
+
+    position: FloatArray
+    target: FloatArray
+    up: FloatArray
+
+
+def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
+    """An eye that sees the whole of the points with their bends spread out.
+
+    The eye looks across the plane that fits the points best, from the patient's
+    front where there is a choice; superior is up unless the eye looks along it, and
+    then anterior is.
+
+    Parameters
+    ----------
+    points : (n, 3) float array, mm
+    frame : {"LPS", "mesh"}
+    radius : float, mm
+        Room to leave around the points.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    target = 0.5 * (low + high)
+    reach = float(np.linalg.norm(points - target, axis=1).max()) + radius
+    _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    front = np.array([0.25, -1.0, 0.2]) if frame == "LPS" else np.array([0.35, -1.0, 0.45])
+    # A path that hardly leaves one line has no plane worth facing.
+    away = axes[2] if spread[1] > 0.03 * spread[0] else front
+    away = away if away @ front >= 0.0 else -away
+    away = away / np.linalg.norm(away) + 0.25 * front / np.linalg.norm(front)
+    away /= np.linalg.norm(away)
+    up = np.array([0.0, 0.0, 1.0]) if abs(away[2]) < 0.8 else np.array([0.0, -1.0 if frame == "LPS" else 1.0, 0.0])
+    return Viewpoint(position=target + away * 1.1 * reach / np.sin(0.5 * FIELD_OF_VIEW), target=target, up=up)
+
+
+def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
+    """The layout: 3D and CT planes on the left, plots and words on the right, open at the last iteration."""
+    scene = rrb.Spatial3DView(
+        origin=at.CASE,
+        name="3D (research use, not for clinical decisions)",
+        contents=["$origin/**", f"- {at.CT}/**", f"- {at.WALK_CAMERA}/**"],
+        background=rrb.Background(color=BACKGROUND),
+        line_grid=False,
+        eye_controls=_eye(eye),
+        overrides={at.INSCRIBED: rrb.EntityBehavior(visible=False)},
+    )
+    tabs: list[rrb.View | rrb.Container] = [scene]
+    if contents.has_walk:
+        tabs.append(
+            rrb.Spatial3DView(
+                origin=at.CASE,
+                name="From inside (timeline arc_length)",
+                contents=[
+                    f"{at.CASE}/anatomy/**",
+                    f"{at.CASE}/path/**",
+                    at.CENTERLINE,
+                    at.WALK,
+                    at.WALK_CAMERA,
+                    f"- {at.CAPS}/labels",
+                ],
+                background=rrb.Background(color=BACKGROUND),
+                line_grid=False,
+                eye_controls=rrb.EyeControls3D(tracking_entity=at.WALK_CAMERA),
+            )
+        )
+    if contents.has_ct:
+        tabs.append(
+            rrb.TensorView(
+                origin=at.VOLUME,
+                name="CT voxels",
+                scalar_mapping=rrb.TensorScalarMapping(colormap="grayscale", mag_filter="linear"),
+                view_fit="FillKeepAspectRatio",
+            )
+        )
+    space: rrb.View | rrb.Container = rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else scene
+    if contents.has_ct:
+        pixels = FIELD_MM / PIXEL_MM
+        bounds = rrb.VisualBounds2D(x_range=(0.0, pixels), y_range=(0.0, pixels))
+        planes = [
+            rrb.Spatial2DView(origin=f"{at.CT}/{plane}", name=f"CT, {plane}", background=(0, 0, 0), visual_bounds=bounds)
+            for plane in at.PLANES
+        ]
+        space = rrb.Vertical(space, rrb.Horizontal(*planes), row_shares=[7, 3])
+    limits = contents.limits
+    plots = [
+        _bars(FlagKind.CLEARANCE, f"Clearance, mm over arc length in mm (limit {limits.clearance_min:g})"),
+        _bars(FlagKind.CURVATURE, f"Curvature, 1/mm over arc length in mm (limit {limits.curvature_max:g})"),
+        rrb.Tabs(
+            _series(at.CONVERGENCE, "Convergence"),
+            _series(at.COUNTS, "Features per iteration"),
+            active_tab=0,
+        ),
+    ]
+    words: list[rrb.View | rrb.Container] = [
+        rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
+        rrb.TextLogView(origin=at.DECISIONS, name="Decisions"),
+    ]
+    if contents.has_growth:
+        words.append(
+            rrb.BarChartView(origin=at.GROWTH, name="Grown volume, ml over HU limit", plot_legend=rrb.PlotLegend(visible=False))
+        )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            space,
+            rrb.Vertical(*plots, rrb.Tabs(*words, active_tab=0), row_shares=[3, 3, 2.4, 3.6]),
+            column_shares=[5, 4],
+        ),
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=at.ITERATION, fps=PLAY_FPS, play_state="following"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _eye(eye: Viewpoint | None) -> rrb.EyeControls3D | None:
+    if eye is None:
+        return None
+    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=eye.up)
+
+
+def _bars(kind: FlagKind, name: str) -> rrb.BarChartView:
+    return rrb.BarChartView(origin=f"{at.PROFILE}/{kind.value}", name=name, plot_legend=rrb.PlotLegend(visible=False))
+
+
+def _series(origin: str, name: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=origin, name=name, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop), axis_y=rrb.ScalarAxis(zoom_lock=False)
+    )
+
+
+def scene_axes(frame: str) -> rr.ViewCoordinates:
+    """Names of the axes: LPS for a patient; a mesh file's own axes are shown with z up."""
+    return rr.ViewCoordinates.LBU if frame == "LPS" else rr.ViewCoordinates.RIGHT_HAND_Z_UP

@@ -1,0 +1,116 @@
+"""The case in words: markdown for the summary panel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits
+from tubeplan_viz.recording import entities as at
+
+VERDICTS = {
+    "ok": "Every limit holds along the whole path",
+    "flagged": "Planned, with stretches that break a limit",
+    "infeasible": "No path",
+}
+METRICS = {
+    "length_mm": ("length", "{:.1f} mm"),
+    "curvature_max_per_mm": ("largest curvature", "{:.4f} 1/mm"),
+    "curvature_mean_per_mm": ("mean curvature", "{:.4f} 1/mm"),
+    "clearance_min_mm": ("least clearance", "{:.2f} mm"),
+    "clearance_mean_mm": ("mean clearance", "{:.2f} mm"),
+    "centerline_distance_mean_mm": ("mean distance to the centerline", "{:.2f} mm"),
+    "tip_error_mm": ("tip error", "{:.2f} mm"),
+}
+
+
+def iteration_text(
+    index: int,
+    *,
+    length: float,
+    curvature_max: float,
+    clearance_min: float,
+    features: int,
+    flagged: Sequence[FlaggedInterval],
+    limits: Limits,
+) -> str:
+    """Summary of one iteration."""
+    verdict = "both limits hold" if not flagged else f"{len(flagged)} flagged {'interval' if len(flagged) == 1 else 'intervals'}"
+    return "\n\n".join(
+        [
+            f"# Iteration {index}: {verdict}",
+            _table([(_LENGTH, f"{length:.1f} mm"), ("features", str(features))], curvature_max, clearance_min, limits),
+            flag_table(flagged),
+            f"*{at.NOTICE}*",
+        ]
+    )
+
+
+def case_text(case_id: str, result: Mapping[str, Any], flagged: Sequence[FlaggedInterval], limits: Limits) -> str:
+    """Summary of the finished case from result.json."""
+    planner = result["planner"]
+    rows = [
+        (_LENGTH if key == "length_mm" else label, form.format(result["metrics"][key]))
+        for key, (label, form) in METRICS.items()
+        if key in result.get("metrics", {})
+    ]
+    rows += [("curvature limit", f"{limits.curvature_max:.4f} 1/mm"), ("clearance limit", f"{limits.clearance_min:.2f} mm")]
+    certificate = result.get("certificate")
+    if certificate:
+        rows.append(("curvature is proved below", f"{certificate['curvature_upper_bound_per_mm']:.4f} 1/mm"))
+        rows.append(("clearance is proved above", f"{certificate['clearance_lower_bound_mm']:.2f} mm"))
+    parts = [f"# {VERDICTS[result['status']]}"]
+    if result.get("reason"):
+        parts.append(str(result["reason"]))
+    parts.append(
+        f"Case **{case_id}**, planner {planner['name']} ({planner['method']}), {len(result.get('iterations', ()))} iterations"
+    )
+    parts.append("| | |\n|--|--|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows))
+    return "\n\n".join([*parts, flag_table(flagged), f"*{at.NOTICE}*"])
+
+
+def place_text(
+    s: float, length: float, curvature: float, clearance: float, limits: Limits, flagged: Sequence[FlaggedInterval]
+) -> str:
+    """Readout at one place of the path."""
+    here = [flag for flag in flagged if flag.start - 1e-9 <= s <= flag.end + 1e-9]
+    if here:
+        verdict = "breaks the " + " and the ".join(f"{kind} limit" for kind in sorted({flag.kind.value for flag in here}))
+    else:
+        verdict = "both limits hold here"
+    bend = f"{1.0 / curvature:.1f} mm" if curvature > 1e-4 else "straight"
+    return "\n\n".join(
+        [
+            f"# {s:.1f} mm of {length:.1f} mm: {verdict}",
+            _table(
+                [("bend radius", bend), ("room beyond the instrument", f"{clearance - limits.clearance_min:+.2f} mm")],
+                curvature,
+                clearance,
+                limits,
+            ),
+            f"*{at.NOTICE}*",
+        ]
+    )
+
+
+def flag_table(flagged: Sequence[FlaggedInterval]) -> str:
+    """Flagged intervals as a markdown table, or one sentence without any."""
+    if not flagged:
+        return "No flagged interval."
+    rows = [
+        f"| {flag.kind.value} | {flag.start:.1f} | {flag.end:.1f} | "
+        + (f"{flag.worst:.4f} 1/mm" if flag.kind is FlagKind.CURVATURE else f"{flag.worst:.2f} mm")
+        + f" | {flag.worst_at:.1f} |"
+        for flag in flagged
+    ]
+    return "| flagged | from mm | to mm | worst | at mm |\n|--|--|--|--|--|\n" + "\n".join(rows)
+
+
+_LENGTH = "path length"
+
+
+def _table(rows: Sequence[tuple[str, str]], curvature: float, clearance: float, limits: Limits) -> str:
+    lines = [f"| {name} | {value} | |" for name, value in rows]
+    lines.append(f"| curvature | {curvature:.4f} 1/mm | limit {limits.curvature_max:.4f} |")
+    lines.append(f"| clearance | {clearance:.2f} mm | limit {limits.clearance_min:.2f} |")
+    return "| | | |\n|--|--|--|\n" + "\n".join(lines)

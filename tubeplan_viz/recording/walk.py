@@ -1,0 +1,124 @@
+"""Walking along the planned path: marker, moving frame, the instrument's disc, a camera, readouts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from segmentation.arrays import FloatArray
+from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits
+from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.plans import Track
+from tubeplan_viz.recording.sink import Sink
+from tubeplan_viz.recording.summary import place_text
+
+STEP_MM = 0.5
+CAMERA_FOV = np.deg2rad(95.0)
+CIRCLE = np.linspace(0.0, 2.0 * np.pi, 49)
+
+
+def walk_ticks(length: float) -> FloatArray:
+    """Ticks of the arc-length timeline, every half millimetre and the end: tenths of a millimetre."""
+    return np.unique(
+        np.append(np.arange(0.0, length, STEP_MM) * at.TICKS_PER_MM, np.floor(length * at.TICKS_PER_MM)).round()
+    ).astype(np.int64)
+
+
+def moving_frames(points: FloatArray) -> FloatArray:
+    """Rotation-minimising frames along a polyline by double reflection [1]_.
+
+    Parameters
+    ----------
+    points : (n, 3) float array, mm
+        n >= 2, no two neighbours equal.
+
+    Returns
+    -------
+    (n, 3, 3) float array
+        Columns are normal, binormal and tangent; right-handed. The first normal
+        points as far up (+z) as it can.
+
+    References
+    ----------
+    .. [1] Wang, W., Juettler, B., Zheng, D., Liu, Y. (2008). Computation of rotation
+       minimizing frames. ACM Transactions on Graphics, 27(1), 2.
+    """
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    normals = np.empty_like(points)
+    up = np.array([0.0, 0.0, 1.0]) if abs(tangents[0, 2]) < 0.9 else np.array([0.0, -1.0, 0.0])
+    first = up - (up @ tangents[0]) * tangents[0]
+    normals[0] = first / np.linalg.norm(first)
+    for i in range(len(points) - 1):
+        chord = points[i + 1] - points[i]
+        square = chord @ chord
+        normal = normals[i] - (2.0 / square) * (chord @ normals[i]) * chord
+        tangent = tangents[i] - (2.0 / square) * (chord @ tangents[i]) * chord
+        bend = tangents[i + 1] - tangent
+        square = bend @ bend
+        if square > 1e-24:
+            normal = normal - (2.0 / square) * (bend @ normal) * bend
+        normal -= (normal @ tangents[i + 1]) * tangents[i + 1]
+        normals[i + 1] = normal / np.linalg.norm(normal)
+    return np.stack([normals, np.cross(tangents, normals), tangents], axis=2)
+
+
+def log_walk(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval], limits: Limits) -> FloatArray:
+    """The whole walk on the arc-length timeline; returns the (k, 3) places visited, mm."""
+    length = float(track.arc_length[-1])
+    ticks = walk_ticks(length)
+    s = np.minimum(ticks / at.TICKS_PER_MM, length)
+    places = np.column_stack([np.interp(s, track.arc_length, track.points[:, k]) for k in range(3)])
+    frames = moving_frames(places)
+    curvature, clearance = np.interp(s, track.arc_length, track.curvature), np.interp(s, track.arc_length, track.clearance)
+    radius = limits.clearance_min
+
+    sink.at(at.ARC_LENGTH, 0)
+    arm = max(1.5 * radius, 2.0)
+    sink.log(
+        f"{at.WALK}/frame",
+        rr.Arrows3D(
+            vectors=np.eye(3) * arm, colors=[(240, 90, 90), (90, 200, 90), (100, 150, 255)], radii=rr.Radius.ui_points(1.0)
+        ),
+    )
+    sink.log(
+        f"{at.WALK}/marker", rr.Points3D([[0.0, 0.0, 0.0]], colors=at.HERE, radii=rr.Radius.ui_points(4.0), show_labels=True)
+    )
+    if radius > 0.0:
+        circle = radius * np.column_stack([np.cos(CIRCLE), np.sin(CIRCLE), 0.0 * CIRCLE])
+        fan = np.array([[0, k, k + 1] for k in range(1, len(CIRCLE))])
+        sink.log(
+            f"{at.WALK}/instrument",
+            rr.Mesh3D(vertex_positions=np.vstack([np.zeros(3), circle]), triangle_indices=fan, albedo_factor=(*at.HERE, 90)),
+            rr.LineStrips3D([circle], colors=at.HERE, radii=rr.Radius.ui_points(1.2)),
+        )
+    # Looking down the lumen: z forward along the tangent, x right along the binormal, y down against the normal.
+    sink.log(
+        at.WALK_CAMERA,
+        rr.Transform3D(mat3x3=np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])),
+        rr.Pinhole(fov_y=CAMERA_FOV, aspect_ratio=1.0, image_plane_distance=arm, camera_xyz=rr.ViewCoordinates.RDF),
+    )
+
+    sink.columns(
+        at.WALK, at.ARC_LENGTH, ticks, rr.Transform3D.columns(translation=places, mat3x3=frames.transpose(0, 2, 1).reshape(-1, 9))
+    )
+    labels = [
+        f"{a:.1f} mm: clearance {c:.2f} mm, curvature {b:.3f} 1/mm" for a, b, c in zip(s, curvature, clearance, strict=True)
+    ]
+    sink.columns(f"{at.WALK}/marker", at.ARC_LENGTH, ticks, rr.Points3D.columns(labels=labels))
+    texts = [place_text(a, length, b, c, limits, flagged) for a, b, c in zip(s, curvature, clearance, strict=True)]
+    sink.columns(at.SUMMARY, at.ARC_LENGTH, ticks, rr.TextDocument.columns(text=texts, media_type=["text/markdown"] * len(texts)))
+    sink.columns(
+        f"{at.CONVERGENCE}/curvature", at.ARC_LENGTH, ticks, rr.Scalars.columns(scalars=curvature / limits.curvature_max)
+    )
+    if radius > 0.0:
+        sink.columns(f"{at.CONVERGENCE}/clearance", at.ARC_LENGTH, ticks, rr.Scalars.columns(scalars=clearance / radius))
+    sink.columns(f"{at.CONVERGENCE}/limit", at.ARC_LENGTH, ticks, rr.Scalars.columns(scalars=np.ones(len(ticks))))
+    for kind in FlagKind:
+        top = float(max(track.values(kind).max(), limits.curvature_max if kind is FlagKind.CURVATURE else radius))
+        for tick, here in zip(ticks, s, strict=True):
+            sink.at(at.ARC_LENGTH, int(tick))
+            sink.log(at.profile_path(kind, "here"), rr.BarChart([top], abscissa=[here], widths=[length / 250.0], color=at.HERE))
+    return places
