@@ -1,0 +1,191 @@
+"""All checks of one run folder."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Generator, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+from tubeplan_viz.result import ResultError, RunFolderError, validate_result
+from tubeplan_viz.verify.claims import (
+    check_features_and_centerline,
+    check_metrics,
+    check_profile,
+    check_spline_and_path,
+    check_verdict,
+)
+from tubeplan_viz.verify.files import check_markups, check_outputs, check_table
+from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
+from tubeplan_viz.verify.page import check_page
+from tubeplan_viz.verify.profile import OwnProfile, measure
+from tubeplan_viz.verify.setting import check_ends, check_frame, check_surface, check_unit
+from tubeplan_viz.verify.spline import BezierPath
+from tubeplan_viz.verify.verification import Check, Verification
+from tubeplan_viz.verify.wall import Lumen, Triangles
+
+SPLINE_PLANNERS = ("tube",)
+Content = TypeVar("Content")
+
+
+def verify_run(folder: Path) -> Verification:
+    """Check a finished plan again by other means than those that made it.
+
+    Nothing of the planners, their curves or their distances is used: the spline is
+    evaluated as Bezier pieces, distances are to mesh.ply's triangles directly, insides are
+    found by solid angles, and limits are tested between the samples of the file. Every other file of
+    the folder is compared with result.json. A missing or unreadable file is a check that
+    does not hold.
+
+    Parameters
+    ----------
+    folder : Path
+        A run folder (spec 0.3).
+
+    Returns
+    -------
+    Verification
+
+    Raises
+    ------
+    RunFolderError
+        If the folder has no result.json that tubeplan wrote.
+    """
+    result = _read_result(folder)
+    return Verification(run=folder.resolve().name, checks=tuple(_checks(folder, result)))
+
+
+def _read_result(folder: Path) -> dict[str, Any]:
+    name = folder.resolve().name
+    try:
+        text = (folder / "result.json").read_text(encoding="utf-8")
+        document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_doubles)
+    except OSError as fault:
+        raise RunFolderError(f"{name} has no result.json that can be read; name the folder that `tubeplan plan` made") from fault
+    except ValueError as fault:
+        raise RunFolderError(f"{name}: result.json is no JSON ({fault}); the run is damaged, plan the case again") from fault
+    if not isinstance(document, dict):
+        raise RunFolderError(f"{name}: result.json is no table of keys; name the folder that `tubeplan plan` made")
+    return document
+
+
+def _no_constant(word: str) -> NoReturn:
+    raise ValueError(f"it holds {word}, which is no number")
+
+
+def _no_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise ValueError(f"the key {next(key for key in keys if keys.count(key) > 1)} stands twice")
+    return table
+
+
+def _checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
+    schema = Check(
+        name="schema",
+        ok=True,
+        found="valid",
+        expected="result.schema.json, version 1",
+        text="result.json has every key that is relied on, each with a value of its kind.",
+    )
+    try:
+        validate_result(result)
+    except ResultError as fault:
+        yield Check(name=schema.name, ok=False, found="not valid", expected=schema.expected, text=f"{fault}.")
+        return
+    yield schema
+    yield from check_outputs(result, folder)
+    if result["path"] is None:
+        yield Check(
+            name="status",
+            ok=result["status"] == "infeasible",
+            found=result["status"],
+            expected="infeasible",
+            text="There is no path.",
+        )
+        return
+    yield from _path_checks(folder, result)
+
+
+def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
+    if result["planner"]["name"] not in SPLINE_PLANNERS:
+        found = result["planner"]["name"]
+        yield Check(
+            name="planner",
+            ok=False,
+            found=found,
+            expected=", ".join(SPLINE_PLANNERS),
+            text=f"Paths of {found} cannot be checked yet.",
+        )
+        return
+    case = yield from _opened("case.toml", folder, lambda text: tomllib.loads(text))
+    markups = yield from _opened("path.mrk.json", folder, _markups)
+    table = yield from _opened("path.csv", folder, lambda text: text)
+    page = None
+    if _written("report.html", folder, result):
+        page = yield from _opened("report.html", folder, lambda text: text)
+    yield from check_ends(result, case)
+    spline = result["spline"]
+    path = BezierPath.from_spline(spline["degree"], np.array(spline["knots"]), np.array(spline["control_points_mm"], dtype=float))
+    try:
+        mesh: MeshFile | None = read_mesh(folder / "mesh.ply")
+    except MeshFileError as fault:
+        mesh = None
+        yield Check(name="mesh.ply", ok=False, found="not readable", expected="a binary PLY of triangles", text=f"{fault}.")
+    if mesh is not None:
+        yield from check_frame(result, mesh, markups)
+        yield from check_unit(result, mesh, path.pieces.reshape(-1, 3))
+        yield from check_surface(result, mesh)
+        yield from _measured_checks(result, path, mesh, table)
+    if markups is not None:
+        yield from check_markups(markups, result)
+    if page is not None:
+        yield from check_page(page, result)
+
+
+def _measured_checks(result: dict[str, Any], path: BezierPath, mesh: MeshFile, table: str | None) -> Iterator[Check]:
+    own: OwnProfile = measure(path, _lumen(result, mesh))
+    for check in (check_spline_and_path, check_profile, check_metrics, check_verdict, check_features_and_centerline):
+        yield from check(result, own)
+    if table is not None:
+        yield from check_table(table, result, own.samples)
+
+
+def _lumen(result: Mapping[str, Any], mesh: MeshFile) -> Lumen:
+    """The surface as the run counts it: caps are wall only with ``details.closed_ends``."""
+    corners = mesh.vertices[mesh.faces]
+    details = result["details"]
+    wall = len(corners) if details.get("closed_ends") or "surface" not in details else details["surface"]["wall_faces"]
+    return Lumen(Triangles(corners[:wall]), Triangles(corners[wall:]))
+
+
+def _written(name: str, folder: Path, result: Mapping[str, Any]) -> bool:
+    """Whether a file that may be left out on demand is part of this run."""
+    stated = result["provenance"].get("outputs")
+    return stated is None or (folder / name).exists() or any(entry["name"] == name for entry in stated)
+
+
+def _markups(text: str) -> dict[str, Any]:
+    document = json.loads(text, parse_constant=_no_constant)
+    try:
+        for markup in document["markups"]:
+            np.array([control["position"] for control in markup["controlPoints"]], dtype=float).reshape(-1, 3)
+    except (KeyError, TypeError) as fault:
+        raise ValueError("it has no markups with control points") from fault
+    return dict(document)
+
+
+def _opened(name: str, folder: Path, parse: Callable[[str], Content]) -> Generator[Check, None, Content | None]:
+    """The parsed content of a text file; a check that does not hold, and None, if it has none."""
+    try:
+        return parse((folder / name).read_text(encoding="utf-8"))
+    except OSError as fault:
+        found = (fault.strerror or "not readable").lower()
+    except ValueError as fault:  # not UTF-8, not TOML, not JSON
+        found = f"not as expected ({str(fault)[:120]})"
+    yield Check(name=name, ok=False, found=found, expected="a whole file", text=f"{name} of the run cannot be read.")
+    return None
