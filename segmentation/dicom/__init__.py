@@ -1,1 +1,25 @@
 """DICOM folder to volume, fail closed: the only home of pydicom and highdicom."""
+
+from segmentation.dicom.facts import describe_orientation, geometry_facts
+from segmentation.dicom.hounsfield import FILL_HU, require_hounsfield, settle_fill, to_hounsfield
+from segmentation.dicom.inspection import inspect_folder
+from segmentation.dicom.reader import DicomVolume, read_series
+from segmentation.dicom.series import Progress, SeriesInfo, scan_folder
+from segmentation.dicom.write import SeriesWords, write_series
+
+__all__ = [
+    "FILL_HU",
+    "DicomVolume",
+    "Progress",
+    "SeriesInfo",
+    "SeriesWords",
+    "describe_orientation",
+    "geometry_facts",
+    "inspect_folder",
+    "read_series",
+    "require_hounsfield",
+    "scan_folder",
+    "settle_fill",
+    "to_hounsfield",
+    "write_series",
+]
