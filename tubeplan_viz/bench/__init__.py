@@ -1,1 +1,11 @@
 """Published and measured comparisons, rebuilt: tubeplan bench NAME."""
+
+from collections.abc import Callable
+
+from tubeplan_viz.bench.centerline import centerline
+from tubeplan_viz.bench.paper import paper
+from tubeplan_viz.bench.rows import Row
+
+BENCHMARKS: dict[str, Callable[..., list[Row]]] = {"paper": paper, "centerline": centerline}
+
+__all__ = ["BENCHMARKS", "Row"]

@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from segmentation.arrays import FloatArray, IntArray, frozen_array
-from tubeplan_viz.centerline.trace import CenterlineSettings
+from segmentation.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from tubeplan_viz.centerline.trace import CenterlineSettings, walk_back
 from tubeplan_viz.centerline.voronoi import VoronoiGraph
 from tubeplan_viz.geometry import WallDistance
 
@@ -59,7 +60,8 @@ def find_endpoints(graph: VoronoiGraph, wall: WallDistance, *, root: ArrayLike |
     graph : VoronoiGraph
     wall : WallDistance
     root : (3,) array_like, mm, optional
-        Where the tree begins; by default the largest cap, otherwise one end of the longest way through.
+        Where the tree begins; by default the largest cap, otherwise the wider end of the longest
+        way through: airways and vessels narrow from the root to the tips.
     """
     settings = settings or CenterlineSettings()
     caps = wall.surface.caps
@@ -68,7 +70,7 @@ def find_endpoints(graph: VoronoiGraph, wall: WallDistance, *, root: ArrayLike |
     part = connected_components(matrix, directed=False)[1]
     members = part == part[first]
     if root is None and not caps:
-        first = farthest(graph, graph.matrix(graph.lengths), first, members)
+        first = wide_end(graph, graph.matrix(graph.lengths), first, members)
     cost, previous = dijkstra(matrix, directed=False, indices=first, return_predecessors=True)
     order = np.argsort(cost, kind="stable")
     length = path_lengths(graph, order, previous, cost)
@@ -105,10 +107,22 @@ def nearest_node(graph: VoronoiGraph, point: ArrayLike | None) -> int:
     return int(holding[np.argmax(graph.radii[holding])]) if len(holding) else int(np.argmin(gap))
 
 
-def farthest(graph: VoronoiGraph, matrix: object, node: int, members: FloatArray) -> int:
-    """The reachable node farthest from `node`."""
-    distance = dijkstra(matrix, directed=False, indices=node)
-    return int(np.argmax(np.where(members & np.isfinite(distance), distance, -1.0)))
+def wide_end(graph: VoronoiGraph, matrix: csr_matrix, node: int, members: BoolArray) -> int:
+    """The end of the longest way through on whose quarter the lumen is wider on average."""
+    one, _ = farthest(matrix, node, members)
+    other, previous = farthest(matrix, one, members)
+    chain = walk_back(previous, other)
+    if chain is None:
+        return one
+    radii = graph.radii[chain]
+    quarter = max(len(radii) // 4, 1)
+    return one if radii[:quarter].mean() >= radii[-quarter:].mean() else other
+
+
+def farthest(matrix: csr_matrix, node: int, members: BoolArray) -> tuple[int, IntArray]:
+    """The reachable node farthest from `node`, and the shortest-path tree from `node`."""
+    distance, previous = dijkstra(matrix, directed=False, indices=node, return_predecessors=True)
+    return int(np.argmax(np.where(members & np.isfinite(distance), distance, -1.0))), previous
 
 
 def path_lengths(graph: VoronoiGraph, order: IntArray, previous: IntArray, cost: FloatArray) -> FloatArray:
@@ -125,7 +139,7 @@ def path_lengths(graph: VoronoiGraph, order: IntArray, previous: IntArray, cost:
     return length
 
 
-def lengths_beyond(order: IntArray, previous: IntArray, length: FloatArray, covered: FloatArray) -> FloatArray:
+def lengths_beyond(order: IntArray, previous: IntArray, length: FloatArray, covered: BoolArray) -> FloatArray:
     """For every node the length of its tree path outside the covered part, mm."""
     foot = np.where(covered, length, 0.0)
     for node in order[~covered[order]]:

@@ -1,0 +1,102 @@
+"""The command tree, and how a command's end becomes an exit status (spec 0.2)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import click
+import typer
+
+from segmentation.errors import TubeplanError
+from tubeplan_viz import __version__
+from tubeplan_viz.cli import bench, demo, endpoints, inspect, plan, run, segment, verify
+from tubeplan_viz.plan import NoPathError
+
+OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
+
+app = typer.Typer(
+    name="tubeplan",
+    help="From a CT or mesh of tubular anatomy to a proved instrument path, a recording and a report. "
+    "Research use, not for clinical decisions.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=True,
+)
+plans = typer.Typer(help="Plan a path without a case file.", no_args_is_help=True, rich_markup_mode=None)
+app.add_typer(plans, name="plan")
+plans.command("tube")(plan.tube)
+for name, command in (
+    ("demo", demo.demo),
+    ("run", run.run),
+    ("inspect", inspect.inspect),
+    ("segment", segment.segment),
+    ("endpoints", endpoints.endpoints),
+    ("verify", verify.verify),
+    ("bench", bench.bench),
+):
+    app.command(name)(command)
+
+
+def show_version(wanted: bool) -> None:
+    """Print the version and end."""
+    if wanted:
+        typer.echo(f"tubeplan {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version.")] = False,
+) -> None:
+    """From a CT or mesh of tubular anatomy to a proved instrument path, a recording and a report.
+
+    Research use, not for clinical decisions.
+
+    Example: tubeplan demo -o demo
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with the status of spec 0.2."""
+    sys.exit(status_of(arguments))
+
+
+def status_of(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit status; errors are printed as one sentence."""
+    try:
+        outcome = typer.main.get_command(app).main(
+            args=None if arguments is None else list(arguments), prog_name="tubeplan", standalone_mode=False
+        )
+        return outcome if isinstance(outcome, int) else OK
+    except click.UsageError as fault:
+        command = fault.ctx.command_path if fault.ctx else "tubeplan"
+        complain(f"{fault.format_message()} See `{command} --help`.")
+        return BAD_INPUT
+    except click.exceptions.Exit as end:
+        return end.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        complain("interrupted; nothing was written")
+        return INTERRUPTED
+    except NoPathError as fault:
+        complain(f"no path: {fault}")
+        return NO_PATH
+    except TubeplanError as fault:
+        complain(str(fault))
+        return BAD_INPUT
+    except Exception as fault:  # noqa: BLE001 - the last line of defence: a fault of the program, said as such
+        import traceback
+
+        frame = traceback.extract_tb(fault.__traceback__)[-1]
+        complain(
+            f"a fault of the program, please report it: {type(fault).__name__}: {fault} "
+            f"(in {frame.name}, line {frame.lineno} of {frame.filename.rsplit('/', 1)[-1]})"
+        )
+        return FAULT
+
+
+def complain(message: str) -> None:
+    """One line on standard error."""
+    typer.echo(f"tubeplan: {message}", err=True)

@@ -1,0 +1,56 @@
+"""tubeplan endpoints: labelled proposals for start and goal."""
+
+from __future__ import annotations
+
+import json as json_text
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+
+from segmentation.errors import CaseError
+from tubeplan_viz.case import make_case
+from tubeplan_viz.cli.options import Json, Quiet, case_options
+from tubeplan_viz.cli.show import progress
+from tubeplan_viz.pipeline import Stopwatch, endpoint_details, grow_tree, load_lumen
+
+
+@case_options
+def endpoints(
+    *,
+    source: Annotated[Path | None, typer.Argument(metavar="MESH_OR_RUN", help="Mesh file or run folder; or use --ct.")] = None,
+    given: dict[str, dict[str, Any]],
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """List the tips of the lumen's tree, for --start and --goal.
+
+    Example: tubeplan endpoints ureter.stl
+    """
+    inputs = dict(given.get("input", {}))
+    if source is not None:
+        inputs["mesh"] = source / "mesh.ply" if source.is_dir() else source
+    if not inputs.get("mesh") and not inputs.get("ct"):
+        raise CaseError("name a mesh file or run folder, or give a CT with --ct")
+    case = make_case({**given, "input": inputs}, name="options")
+    with progress(quiet or json) as notify:
+        watch = Stopwatch(notify)
+        lumen = load_lumen(case.input, watch=watch)
+        with watch.stage("end points"):
+            tree = grow_tree(lumen.surface, closed_ends=case.planner.closed_ends, settings=case.centerline)
+    tips = [endpoint_details(tip) for tip in tree.endpoints]
+    if json:
+        typer.echo(json_text.dumps({"frame": tree.surface.frame, "endpoints": tips}, indent=1))
+        return
+    table = Table(box=None, pad_edge=False)
+    for heading in ("label", "x mm", "y mm", "z mm", "radius mm", "branch mm", "confidence", "cap"):
+        table.add_column(heading, justify="left" if heading in ("label", "cap") else "right")
+    for tip in tips:
+        x, y, z = (f"{v:.1f}" for v in tip["point_mm"])
+        table.add_row(
+            tip["label"], x, y, z, f"{tip['radius_mm']:.2f}", f"{tip['branch_length_mm']:.1f}", f"{tip['confidence']:.2f}", tip["cap"] or ""
+        )
+    Console().print(table)

@@ -1,0 +1,105 @@
+"""Options that several commands share, each written once."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from segmentation.errors import CaseError
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="Run folder to make.", show_default=True)]
+Json = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an earlier run of that name.")]
+NoRecording = Annotated[bool, typer.Option("--no-recording", help="Leave recording.rrd out.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Leave report.html out.")]
+Connect = Annotated[
+    str | None, typer.Option("--connect", help="Feed a running rerun viewer while planning, e.g. rerun+http://127.0.0.1:9876/proxy.")
+]
+
+# Option name in the command line's parameters -> (table and key of the case file, type, declaration).
+CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
+    "ct": ("input", "ct", Path, typer.Option("--ct", help="DICOM folder, .nii, .nii.gz or .mha file.")),
+    "mesh": ("input", "mesh", Path, typer.Option("--mesh", help="STL, PLY, OBJ or GLB file.")),
+    "series": ("input", "series", str, typer.Option("--series", help="Series of the folder, as `tubeplan inspect` lists them.")),
+    "mesh_unit": ("input", "mesh_unit", str, typer.Option("--mesh-unit", help="Unit of the mesh file: um, mm, cm, m or in.")),
+    "part": ("input", "part", str, typer.Option("--part", help="Part of a mesh scene.")),
+    "case_id": ("input", "case_id", str, typer.Option("--case-id", help="Name of the case in all outputs; no patient's name.")),
+    "anatomy": ("input", "anatomy", str, typer.Option("--anatomy", help="airway, urinary, vessel or generic: limits and seed.")),
+    "seed_point": ("input", "seed_point", str, typer.Option("--seed-point", help="X,Y,Z in mm (LPS): where region growing begins.")),
+    "hu_min": ("input", "hu_min", str, typer.Option("--hu-min", help="Lower HU limit, or auto.")),
+    "hu_max": ("input", "hu_max", str, typer.Option("--hu-max", help="Upper HU limit, or auto.")),
+    "connectivity": ("input", "connectivity", int, typer.Option("--connectivity", help="6 or 26 neighbours.")),
+    "smoothing": ("input", "smoothing_mm", float, typer.Option("--smoothing", help="Gaussian before growing, mm; 0 for none.")),
+    "start": ("planner", "start", str, typer.Option("--start", help="X,Y,Z in mm, or a label from `tubeplan endpoints`.")),
+    "goal": ("planner", "goal", str, typer.Option("--goal", help="X,Y,Z in mm, or a label from `tubeplan endpoints`.")),
+    "method": ("planner", "method", str, typer.Option("--method", help="feature_iteration (Dai et al. 2024).")),
+    "curvature_max": ("limits", "curvature_max", float, typer.Option("--curvature-max", help="Largest curvature, 1/mm [0.125].")),
+    "clearance_min": (
+        "limits",
+        "clearance_min",
+        float,
+        typer.Option("--clearance-min", help="Least distance to the wall, mm: the instrument's radius [1.2]."),
+    ),
+    "closed_ends": ("planner", "closed_ends", bool, typer.Option("--closed-ends", help="Count end caps as wall.")),
+    "rng_seed": ("planner", "rng_seed", int, typer.Option("--rng-seed", help="Seed of all randomness.")),
+    "time_budget": ("planner", "time_budget", float, typer.Option("--time-budget", help="No further round after this many s.")),
+    "scans": ("tube", "scans", str, typer.Option("--scans", help="Feature scans, comma-separated: nodes,extrema,segments,inflections,dense.")),
+    "max_rounds": ("tube", "max_rounds", int, typer.Option("--max-rounds", help="Rounds of the feature iteration at most.")),
+    "centerline_step": ("tube", "centerline_step_mm", float, typer.Option("--centerline-step", help="Centerline spacing, mm [1].")),
+}
+
+
+def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command all options of a case; it receives those that were set as tables, `given`."""
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "given"]
+
+    @functools.wraps(command)
+    def wrapper(**values: Any) -> Any:
+        set_here = {name: values.pop(name) for name in CASE_OPTIONS}
+        return command(given=tables(set_here), **values)
+
+    shared = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, declaration])
+        for name, (_, _, kind, declaration) in CASE_OPTIONS.items()
+    ]
+    parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own] + shared
+    wrapper.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
+    del wrapper.__wrapped__  # type: ignore[attr-defined]
+    return wrapper
+
+
+def tables(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Options that were set, as tables of a case file."""
+    made: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        if value is None:
+            continue
+        table, key, _, _ = CASE_OPTIONS[name]
+        if name in ("hu_min", "hu_max"):
+            value = hu_limit(name, value)
+        elif name == "scans":
+            value = [part.strip() for part in value.split(",") if part.strip()]
+        made.setdefault(table, {})[key] = value
+    return made
+
+
+def hu_limit(name: str, value: str) -> float | str:
+    """A HU limit as a number, or ``auto``."""
+    if value.strip().lower() == "auto":
+        return "auto"
+    try:
+        return float(value)
+    except ValueError:
+        raise CaseError(f"--{name.replace('_', '-')} is {value!r}, expected a number of HU or auto") from None
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Tables of a case file with options laid over them."""
+    return {name: {**base.get(name, {}), **over.get(name, {})} for name in {**base, **over}}

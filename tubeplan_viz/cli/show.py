@@ -1,0 +1,90 @@
+"""Progress on standard error and the outcome on standard output."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from tubeplan_viz.pipeline import Notify, silent
+
+EXIT_STATUS = {"ok": 0, "flagged": 3, "infeasible": 4}
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Notify]:
+    """A progress bar on a terminal, a line per stage elsewhere, nothing when quiet."""
+    if quiet:
+        yield silent
+    elif sys.stderr.isatty():
+        with bar() as notify:
+            yield notify
+    else:
+        with lines() as notify:
+            yield notify
+
+
+@contextmanager
+def bar() -> Iterator[Notify]:
+    """One rich bar that takes the name of the stage."""
+    columns = (SpinnerColumn(), TextColumn("{task.description:<18}"), BarColumn(bar_width=30), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task("starting", total=None)
+
+        def notify(stage: str, done: int, total: int) -> None:
+            shown.update(task, description=stage, completed=done, total=total or None)
+
+        yield notify
+
+
+@contextmanager
+def lines() -> Iterator[Notify]:
+    """A plain line at the end of each stage, with its seconds."""
+    stage, begun = "", time.perf_counter()
+
+    def close() -> None:
+        if stage:
+            typer.echo(f"{stage}: {time.perf_counter() - begun:.2f} s", err=True)
+
+    def notify(name: str, done: int, total: int) -> None:
+        nonlocal stage, begun
+        if name != stage:
+            close()
+            stage, begun = name, time.perf_counter()
+
+    yield notify
+    close()
+
+
+def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> int:
+    """Print how a plan ended and where its files are; return the exit status."""
+    status = EXIT_STATUS[result["status"]]
+    if as_json:
+        keys = ("status", "reason", "planner", "frame", "limits", "metrics", "certificate", "flagged_intervals", "timings_s")
+        files = sorted(entry.name for entry in folder.iterdir())
+        typer.echo(json.dumps({**{key: result[key] for key in keys}, "folder": str(folder), "files": files}))
+        return status
+    metrics, limits = result["metrics"], result["limits"]
+    words = {0: "holds: both limits are kept and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
+    typer.echo(words if result["reason"] is None else f"{words}: {result['reason']}")
+    typer.echo(
+        f"path {metrics['length_mm']:.1f} mm, least clearance {metrics['clearance_min_mm']:.2f} of {limits['clearance_min_mm']:g} mm, "
+        f"largest curvature {metrics['curvature_max_per_mm']:.4f} of {limits['curvature_max_per_mm']:g} 1/mm"
+    )
+    for flag in result["flagged_intervals"]:
+        unit = "mm" if flag["kind"] == "clearance" else "1/mm"
+        typer.echo(
+            f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, worst {flag['worst']:.4g} {unit} at {flag['worst_at_mm']:.1f} mm"
+        )
+    for name in ("report.html", "recording.rrd"):
+        if (folder / name).exists():
+            typer.echo(str(folder / name))
+    return status

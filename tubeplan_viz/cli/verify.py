@@ -1,0 +1,36 @@
+"""tubeplan verify: check a finished plan by other means than those that made it."""
+
+from __future__ import annotations
+
+import json as json_text
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tubeplan_viz.cli.options import Json
+from tubeplan_viz.verify import verify_run
+
+
+def verify(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder.")],
+    json: Json = False,
+) -> None:
+    """Check curvature, clearance, inside-ness, ends, frame and every printed number again.
+
+    Exit status 0 when every check holds, 3 when one does not.
+
+    Example: tubeplan verify run
+    """
+    verification = verify_run(run_folder)
+    if json:
+        checks = [
+            {"name": c.name, "ok": c.ok, "found": c.found, "expected": c.expected, "text": c.text} for c in verification.checks
+        ]
+        typer.echo(json_text.dumps({"holds": verification.holds, "checks": checks}, indent=1))
+    else:
+        for check in verification.checks:
+            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.text}")
+        failed = sum(not check.ok for check in verification.checks)
+        typer.echo(f"{len(verification.checks) - failed} of {len(verification.checks)} checks hold")
+    raise typer.Exit(0 if verification.holds else 3)
