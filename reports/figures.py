@@ -1,0 +1,421 @@
+"""Charts as static SVG: readable without scripts, on paper and on a phone.
+
+Each chart is drawn for three widths, of which the style sheet shows one, so that
+type keeps its size. A script only moves the cursor that is already in the drawing:
+``data-left``, ``data-right`` and the value range stand on the element for that.
+Colours come from the style sheet through classes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup, escape
+
+from reports.numbers import printed
+from segmentation.arrays import FloatArray
+
+LEFT, RIGHT = 40, 12  # margins shared by everything that has the path along x: one cursor runs through all
+
+
+@dataclass(frozen=True)
+class Width:
+    """One drawing of a chart: the class that shows it and its inner widths in CSS px."""
+
+    name: str
+    plot: int
+    strip: int
+    half: int
+
+
+WIDTHS = (Width("wide", 740, 1190, 600), Width("narrow", 340, 332, 350), Width("print", 450, 756, 372))
+
+
+def nice_step(span: float, count: int) -> float:
+    """The least of 1, 2, 2.5, 5 times a power of ten that cuts `span` into at most `count` parts.
+
+    Examples
+    --------
+    >>> nice_step(124.9, 13), nice_step(0.2, 4)
+    (10.0, 0.05)
+    """
+    rough = span / count
+    power = 10.0 ** math.floor(math.log10(rough))
+    return float(next(power * m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if power * m >= rough * (1.0 - 1e-9)))
+
+
+def step_digits(step: float) -> int:
+    """Decimals that print every multiple of `step` exactly."""
+    return next(digits for digits in range(9) if abs(round(step, digits) - step) < 1e-9 * max(step, 1e-9) or digits == 8)
+
+
+def tag(_name: str, _text: str | None = None, **attributes: object) -> Markup:
+    """One SVG element; ``class_`` and ``_`` in names are written ``class`` and ``-``."""
+    inside = Markup("").join(
+        Markup(' {}="{}"').format(key.rstrip("_").replace("_", "-"), _short(value)) for key, value in attributes.items()
+    )
+    if _text is None:
+        return Markup("<{}{}/>").format(_name, inside)
+    return Markup("<{}{}>{}</{}>").format(_name, inside, _text, _name)
+
+
+def _short(value: object) -> object:
+    return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else value
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A linear scale from values to drawing units."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+
+    def __call__(self, value: float) -> float:
+        return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
+
+
+def trace(xs: FloatArray, ys: FloatArray, x: Axis, y: Axis) -> str:
+    """Path data of a polyline; points closer than half a unit apart keep only their extremes."""
+    px = x.start + (xs - x.low) / (x.high - x.low) * (x.end - x.start)
+    py = y.start + (np.clip(ys, min(y.low, y.high), max(y.low, y.high)) - y.low) / (y.high - y.low) * (y.end - y.start)
+    keep = np.zeros(len(px), bool)
+    column = np.floor(px / 1.5).astype(int)
+    for rows in np.split(np.arange(len(px)), np.flatnonzero(np.diff(column)) + 1):
+        keep[[rows[0], rows[-1], rows[py[rows].argmin()], rows[py[rows].argmax()]]] = True
+    return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(px[keep], py[keep], strict=True))
+
+
+def in_all_widths(draw: Callable[[Width], Markup]) -> Markup:
+    """The drawing for each of the three widths, one after the other."""
+    return Markup("\n").join(draw(width) for width in WIDTHS)
+
+
+def frame(width: Width, size: tuple[float, float], label: str, parts: Sequence[Markup], **attributes: object) -> Markup:
+    """An <svg> that says in words what it shows."""
+    box = f"0 0 {size[0]:g} {size[1]:g}"
+    more = Markup("").join(Markup(' {}="{}"').format(key.replace("_", "-"), value) for key, value in attributes.items())
+    return Markup('<svg class="for-{}" viewBox="{}" role="img" aria-label="{}"{}>{}</svg>').format(
+        width.name, box, label, more, Markup("").join(parts)
+    )
+
+
+def path_axis(length: float, x: Axis, y: float, room: float) -> list[Markup]:
+    """Ticks and figures in mm under a picture that has the path along x."""
+    step = nice_step(length, max(2, int(room / 52)))
+    digits = step_digits(step)
+    parts: list[Markup] = []
+    for k in range(int(length / step + 1e-9) + 1):
+        at = x(k * step)
+        parts.append(tag("line", class_="tick", x1=at, x2=at, y1=y, y2=y + 4))
+        text = f"{k * step:.{digits}f}" + ("" if k else " mm")
+        parts.append(tag("text", text, class_="axis", x=at, y=y + 16, text_anchor="middle" if k else "start"))
+    return parts
+
+
+def _grid(x: tuple[float, float], y: Axis, step: float) -> list[Markup]:
+    digits = step_digits(step)
+    first = math.ceil(y.low / step - 1e-9)
+    parts: list[Markup] = []
+    for k in range(first, int(math.floor(y.high / step + 1e-9)) + 1):
+        at = y(k * step)
+        parts.append(tag("line", class_="grid" if k else "base", x1=x[0], x2=x[1], y1=at, y2=at))
+        parts.append(tag("text", printed(k * step, digits if k else 0), class_="axis", x=x[0] - 8, y=at + 4, text_anchor="end"))
+    return parts
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Profile:
+    """One quantity over arc length, before and after, with its limit and the stretches that break it.
+
+    `kind` is ``clearance`` (the limit is a least value) or ``curvature`` (a largest one);
+    `flags` hold ``from_mm``, ``to_mm``, ``worst``, ``worst_at_mm``.
+    """
+
+    kind: str
+    arc: FloatArray
+    values: FloatArray
+    limit: float | None
+    flags: Sequence[Mapping[str, Any]]
+    label: str
+    limit_label: str
+    worst_label: str
+    before_arc: FloatArray | None = None
+    before: FloatArray | None = None
+    with_axis: bool = False
+
+
+def _value_range(spec: Profile) -> tuple[float, float, float]:
+    """Lowest and highest value shown, and the step of the grid."""
+    asked = [] if spec.limit is None else [spec.limit]
+    high = max([float(spec.values.max()), *asked]) * (1.15 if spec.kind == "curvature" else 1.06)
+    low = min(0.0, float(spec.values.min()))
+    high = max(high, 1e-6)
+    step = nice_step(high - low, 4)
+    return math.floor(low / step) * step, math.ceil(high / step - 1e-9) * step, step
+
+
+def profile_chart(spec: Profile, width: Width) -> Markup:
+    """Limit as a thin line, before dashed, the planned curve, deficits filled, worst place ringed."""
+    wide, tall = width.plot, (132 if width.name == "wide" else 140) + (14 if spec.with_axis else 0)
+    low, high, step = _value_range(spec)
+    length = float(spec.arc[-1])
+    x, y = Axis(0.0, length, LEFT, wide - RIGHT), Axis(low, high, tall - (22 if spec.with_axis else 6), 16)
+    parts = [
+        tag(
+            "rect",
+            class_=f"band {spec.kind}",
+            x=x(f["from_mm"]),
+            width=max(3.0, x(f["to_mm"]) - x(f["from_mm"])),
+            y=y.end,
+            height=y.start - y.end,
+        )
+        for f in spec.flags
+    ]
+    parts += _grid((LEFT, wide - RIGHT), y, step)
+    if spec.with_axis:
+        parts += path_axis(length, x, y.start, wide - LEFT - RIGHT)
+    if spec.limit is not None:
+        broken = np.minimum(spec.values, spec.limit) if spec.kind == "clearance" else np.maximum(spec.values, spec.limit)
+        closing = f"L{x.end:.1f} {y(spec.limit):.1f}L{x.start:.1f} {y(spec.limit):.1f}Z"
+        parts.append(tag("path", class_=f"excess {spec.kind}", d=trace(spec.arc, broken, x, y) + closing))
+    parts += _before(spec, x, y)
+    if spec.limit is not None:
+        level = y(spec.limit)
+        parts.append(tag("line", class_="limit", x1=x.start, x2=x.end, y1=level, y2=level))
+    parts.append(tag("path", class_="after", d=trace(spec.arc, spec.values, x, y)))
+    if spec.limit is not None:
+        parts.append(_limit_label(spec, x, y))
+    parts += [tag("circle", class_=f"worst {spec.kind}", cx=x(f["worst_at_mm"]), cy=y(f["worst"]), r=4.0) for f in spec.flags]
+    parts += _worst_label(spec, x, y)
+    parts.append(
+        Markup('<g class="cursor"><line y1="{}" y2="{}"/><circle r="4"/></g>').format(f"{y.end - 6:.0f}", f"{y.start:.0f}")
+    )
+    return frame(
+        width, (wide, tall), spec.label, parts,
+        data_chart=spec.kind, data_left=LEFT, data_right=RIGHT, data_low=low, data_high=high, data_y0=y.start, data_y1=y.end,
+    )  # fmt: skip
+
+
+def _before(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
+    if spec.before is None or spec.before_arc is None:
+        return []
+    shown = spec.before_arc <= x.high  # the first curve can be longer than the planned one
+    parts = [tag("path", class_="before", d=trace(spec.before_arc[shown], spec.before[shown], x, y))]
+    peak = int(spec.before[shown].argmax())
+    if spec.before[peak] > y.high:  # a curve that leaves the range is cut and its peak printed
+        at = min(max(x(float(spec.before_arc[peak])), x.start + 45), x.end - 45)
+        parts.append(
+            tag(
+                "text",
+                f"before: {printed(float(spec.before[peak]), 2)} ↑",
+                class_="note",
+                x=at,
+                y=y.end - 5,
+                text_anchor="middle",
+            )
+        )
+    return parts
+
+
+def _limit_label(spec: Profile, x: Axis, y: Axis) -> Markup:
+    """The limit in words at whichever end of its line the curve stays furthest away from it."""
+    assert spec.limit is not None  # the caller asked
+    room = 6.2 * len(spec.limit_label) / (x.end - x.start) * x.high
+    below = spec.kind == "clearance" and y(spec.limit) + 16 < y.start
+    sign = -1.0 if below else 1.0
+    best: tuple[float, float] = (-math.inf, 0.0)
+    for start in np.linspace(0.0, max(x.high - room, 0.0), 24):
+        near = (spec.arc >= start) & (spec.arc <= start + room)
+        taken = float(np.max((spec.values[near] - spec.limit) * sign)) if near.any() else -math.inf
+        crowd = sum(start < f["to_mm"] and start + room > f["from_mm"] for f in spec.flags)
+        score = -max(taken, 0.0) / max(y.high - y.low, 1e-12) - 10.0 * crowd - start / x.high * 0.02
+        best = max(best, (score, float(start)))
+    return tag("text", spec.limit_label, class_="limit-label", x=x(best[1]) + 4, y=y(spec.limit) + (14 if below else -6))
+
+
+def _worst_label(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
+    """The figure of the worst flagged place, beside its band on the side that has room."""
+    if not spec.flags:
+        return []
+    worst = (min if spec.kind == "clearance" else max)(spec.flags, key=lambda f: f["worst"])
+    room = 7.0 * len(spec.worst_label) + 10
+    right = x(worst["to_mm"]) + 8
+    turned = right + room > x.end
+    at = x(worst["from_mm"]) - 8 if turned else right
+    if turned and at - room < x.start:  # the band is as wide as the chart
+        at, turned = x.start + 6, False
+    height = y(worst["worst"]) + (18 if spec.kind == "clearance" else -8)
+    height = min(max(height, y.end + 10), y.start - 4)
+    return [
+        tag("text", spec.worst_label, class_=f"worst-label {spec.kind}", x=at, y=height, text_anchor="end" if turned else "start")
+    ]
+
+
+def strip_chart(
+    length: float,
+    shares: FloatArray,
+    flags: Sequence[Mapping[str, Any]],
+    parts_named: Sequence[Mapping[str, Any]],
+    label: str,
+    width: Width,
+) -> Markup:
+    """The whole path as one bar: parts of the anatomy above, flags in two lanes, distance below.
+
+    `shares` is the roominess of each equal piece of the path, 0 tight to 1 roomy.
+    """
+    wide, tall = width.strip, 82
+    x = Axis(0.0, length, 7, wide - 7)
+    parts: list[Markup] = []
+    for part in parts_named:
+        start, end = x(max(part["from_mm"], 0.0)), x(min(part["to_mm"], length))
+        parts.append(tag("line", class_="part", x1=start + 1, x2=end - 1, y1=19.5, y2=19.5))
+        if end - start > 6.2 * len(part["name"]):
+            parts.append(tag("text", str(part["name"]), class_="part-name", x=(start + end) / 2, y=12, text_anchor="middle"))
+    for k, share in enumerate(shares):
+        start, end = x(k * length / len(shares)), x((k + 1) * length / len(shares))
+        mix = f"fill:color-mix(in srgb, var(--roomy) {100 * share:.0f}%, var(--tight))"
+        parts.append(tag("rect", x=start, width=end - start + 0.5, y=38, height=8, style=mix))
+    for flag in flags:
+        lane = 27 if flag["kind"] == "clearance" else 46
+        box = {
+            "x": x(flag["from_mm"]),
+            "width": max(4.0, x(flag["to_mm"]) - x(flag["from_mm"])),
+            "y": lane,
+            "height": 11,
+            "rx": 2,
+        }
+        parts.append(tag("rect", class_=f"flag-solid {flag['kind']}", **box))
+        if flag["kind"] == "curvature":
+            parts.append(tag("rect", class_="flag-hatch", **box))
+    parts += [tag("circle", class_="end", cx=x(at), cy=42, r=5) for at in (0.0, length)]
+    step = nice_step(length, max(2, int(wide / 75)))
+    digits = step_digits(step)
+    last = f"{printed(length, 1)} mm"
+    for k in range(int(length / step + 1e-9) + 1):
+        at = x(k * step)
+        parts.append(tag("line", class_="tick", x1=at, x2=at, y1=61, y2=65))
+        if k == 0 or at < wide - 7.0 * len(last) - 16:
+            parts.append(
+                tag(
+                    "text",
+                    f"{k * step:.{digits}f}" + ("" if k else " mm"),
+                    class_="axis",
+                    x=at if k else 1,
+                    y=78,
+                    text_anchor="middle" if k else "start",
+                )
+            )
+    parts.append(tag("text", last, class_="axis", x=wide - 1, y=78, text_anchor="end"))
+    parts.append(Markup('<g class="cursor"><line y1="24" y2="60"/><path d="M-5 20h10l-5 6z"/></g>'))
+    return frame(width, (wide, tall), label, parts, data_chart="strip", data_left=7, data_right=7)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Steps:
+    """The worst value of one limit after each iteration."""
+
+    kind: str
+    values: FloatArray
+    limit: float | None
+    limit_label: str
+    label: str
+
+
+def step_chart(spec: Steps, width: Width) -> Markup:
+    """A figure per iteration against its limit; the dot says whether the limit is kept."""
+    wide, tall = width.half, 150
+    asked = [] if spec.limit is None else [spec.limit]
+    low, high = min([float(spec.values.min()), *asked]), max([float(spec.values.max()), *asked])
+    spread = max(high - low, 0.05 * abs(high), 1e-6)
+    low = 0.0 if spec.kind == "curvature" else low - 0.3 * spread
+    step = nice_step(high + 0.2 * spread - low, 4)
+    low, high = math.floor(low / step) * step, math.ceil((high + 0.12 * spread) / step) * step
+    last = max(len(spec.values) - 1, 1)
+    x, y = Axis(0.0, last, LEFT, wide - RIGHT), Axis(low, high, tall - 22, 12)
+    parts = _grid((LEFT, wide - RIGHT), y, step)
+    every = max(1, math.ceil(nice_step(last, max(2, int(wide / 45))))) if last > 1 else 1
+    parts += [tag("text", str(k), class_="axis", x=x(k), y=tall - 6, text_anchor="middle") for k in range(0, last + 1, every)]
+    index = np.arange(len(spec.values), dtype=float)
+    parts.append(tag("path", class_="after", d=trace(index, spec.values, x, y)))
+    if spec.limit is not None:
+        level = y(spec.limit)
+        parts.append(tag("line", class_="limit", x1=LEFT, x2=wide - RIGHT, y1=level, y2=level))
+        shift = -6 if spec.kind == "clearance" else 15
+        shift = -6 if level + shift > y.start - 2 else shift
+        parts.append(tag("text", spec.limit_label, class_="limit-label halo", x=wide - RIGHT, y=level + shift, text_anchor="end"))
+    for k, value in enumerate(spec.values):
+        kept = spec.limit is None or (value >= spec.limit if spec.kind == "clearance" else value <= spec.limit)
+        parts.append(
+            tag(
+                "circle",
+                class_=f"step {'holds' if kept else spec.kind}",
+                cx=x(k),
+                cy=y(float(value)),
+                r=2.75 if last < 80 else 1.75,
+            )
+        )
+    return frame(width, (wide, tall), spec.label, parts)
+
+
+def growth_chart(limits: FloatArray, volumes: FloatArray, chosen: float, leak: float | None, label: str, width: Width) -> Markup:
+    """Grown volume against the varied HU limit, the chosen limit and the leak marked."""
+    wide, tall = width.half, 190
+    order = np.argsort(limits)
+    limits, volumes = limits[order], volumes[order]
+    step_y = nice_step(max(float(volumes.max()), 1e-6), 4)
+    left = 52
+    x = Axis(float(limits[0]), float(limits[-1]), left, wide - RIGHT)
+    y = Axis(0.0, math.ceil(float(volumes.max()) / step_y - 1e-9) * step_y or step_y, tall - 22, 16)
+    parts = _grid((left, wide - RIGHT), y, step_y)
+    step = nice_step(x.high - x.low, max(2, int(wide / 110)))
+    for k in range(math.ceil(x.low / step - 1e-9), math.floor(x.high / step + 1e-9) + 1):
+        at = x(k * step)
+        end = "end" if at > wide - RIGHT - 24 else "start" if at < left + 20 else "middle"
+        parts.append(tag("text", f"{printed(k * step, step_digits(step))} HU", class_="axis", x=at, y=tall - 6, text_anchor=end))
+    parts.append(tag("path", class_="after", d=trace(limits, volumes, x, y)))
+    parts += [tag("circle", class_="sample", cx=x(float(a)), cy=y(float(b)), r=2) for a, b in zip(limits, volumes, strict=True)]
+    marks = [("limit", "limit-label", chosen, "chosen", 10)] + (
+        [("leak", "leak-label", leak, "leaks at", 26)] if leak is not None else []
+    )
+    for line, text, at_hu, word, height in marks:
+        at = x(min(max(at_hu, x.low), x.high))
+        turned = at > (left + wide) / 2
+        parts.append(tag("line", class_=line, x1=at, x2=at, y1=y.end - 8, y2=y.start))
+        parts.append(
+            tag(
+                "text",
+                f"{word} {printed(at_hu, 0)} HU",
+                class_=f"{text} halo",
+                x=at + (-6 if turned else 6),
+                y=height,
+                text_anchor="end" if turned else "start",
+            )
+        )
+    return frame(width, (wide, tall), label, parts)
+
+
+__all__ = [
+    "LEFT",
+    "RIGHT",
+    "WIDTHS",
+    "Axis",
+    "Profile",
+    "Steps",
+    "Width",
+    "escape",
+    "frame",
+    "growth_chart",
+    "in_all_widths",
+    "nice_step",
+    "path_axis",
+    "profile_chart",
+    "step_chart",
+    "strip_chart",
+    "tag",
+]

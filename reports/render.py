@@ -1,0 +1,121 @@
+"""The page as one self-contained file: template, style and script filled in, nothing fetched."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from reports.views import make_page
+from segmentation.errors import TubeplanError
+from tubeplan_viz.result import Review
+
+
+class ReportError(TubeplanError):
+    """A run of which no report can be made or written."""
+
+
+@cache
+def _part(*names: str) -> str:
+    """The text of one of the package's own files."""
+    return files("reports").joinpath(*names).read_text(encoding="utf-8")
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    # autoescape=True and not select_autoescape(): that one leaves *.html.j2 unescaped.
+    return jinja2.Environment(
+        loader=jinja2.FunctionLoader(lambda name: _part("templates", name)),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def policy(script: str) -> str:
+    """The content security policy: nothing from outside, and only this script by its hash."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+
+
+def embedded(value: Mapping[str, Any]) -> Markup:
+    """JSON for a script element; no text in it can end the element.
+
+    Raises
+    ------
+    ReportError
+        If a number is not finite.
+    """
+    try:
+        text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    except ValueError as error:
+        raise ReportError(
+            f"the result cannot be put into the report: {error}; expected finite numbers only, plan the case again"
+        ) from error
+    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
+
+
+def render_report(review: Review) -> str:
+    """The report of one run as HTML.
+
+    Parameters
+    ----------
+    review : Review
+        The finished run; whatever it lacks (CT, surface, path, optional keys of the
+        result) is left out of the page.
+
+    Returns
+    -------
+    str
+        One HTML document without outside references.
+
+    Raises
+    ------
+    ReportError
+        If the result holds numbers that are not finite.
+    """
+    page = make_page(review)
+    script = _part("scene", "dist", "report.js")
+    style = _part("templates", "style.css").replace("/*DARK*/", _part("templates", "dark.css"))
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            page=page,
+            policy=Markup(policy(script)),
+            style=Markup(style),
+            script=Markup(script),
+            result_json=embedded(page.result),
+            scene_json=embedded(page.scene),
+        )
+    )
+
+
+def write_report(review: Review, path: Path) -> None:
+    """Write the report of one run; readable by its owner only, on the disk when this returns.
+
+    Raises
+    ------
+    ReportError
+        If the file cannot be written.
+    """
+    data = render_report(review).encode("utf-8")
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(handle, "wb") as file:
+            os.fchmod(file.fileno(), 0o600)
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise ReportError(f"{path.name} cannot be written: {error.strerror}; free space or choose another folder") from error

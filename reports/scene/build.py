@@ -1,0 +1,49 @@
+"""Bundle the report's scripts into dist/report.js: ``python reports/scene/build.py`` (needs node and npm, never at run time).
+
+The lock file names versions and checksums and no registry: ``npm ci`` uses the one that is configured.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+HERE = Path(__file__).parent
+BUNDLED = ("three",)  # esbuild only builds; nothing of it ends up in the bundle
+
+
+def strip_lock(path: Path) -> None:
+    """Remove the addresses of packages from a lock file; their checksums stay."""
+    lock = json.loads(path.read_text())
+    for package in lock["packages"].values():
+        package.pop("resolved", None)
+    path.write_text(json.dumps(lock, indent=2) + "\n")
+
+
+def licences() -> str:
+    """Versions and licence texts of what is in the bundle."""
+    parts = ["report.js contains these packages besides tubeplan's own source in ../src:\n"]
+    for name in BUNDLED:
+        folder = HERE / "node_modules" / name
+        about = json.loads((folder / "package.json").read_text())
+        parts.append(f"{name} {about['version']}, {about['license']}\n\n{(folder / 'LICENSE').read_text().strip()}\n")
+    return "\n".join(parts)
+
+
+def build() -> None:
+    """Install the locked packages, bundle, and write the licences beside the bundle."""
+    subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
+    target = HERE / "dist" / "report.js"
+    target.parent.mkdir(exist_ok=True)
+    options = ["--bundle", "--minify", "--format=iife", "--target=es2022", "--charset=utf8", "--legal-comments=none"]
+    subprocess.run([HERE / "node_modules/.bin/esbuild", "src/app.js", *options, f"--outfile={target}"], cwd=HERE, check=True)
+    text = target.read_text()
+    if "</script" in text or "<!--" in text:
+        raise SystemExit("the bundle holds text that would end its own script element; rename it in the source")
+    (target.parent / "THIRD_PARTY.txt").write_text(licences())
+
+
+if __name__ == "__main__":
+    strip_lock(HERE / "package-lock.json")
+    build()

@@ -1,0 +1,210 @@
+"""A picture of the scene made without a graphics card: for print, and where WebGL is missing.
+
+The wall is drawn by its outline, as in the turnable scene: the more it turns away from
+the viewer, the denser. Path, flags and labels are vectors on top, so they stay sharp
+and take the page's colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from reports.figures import tag
+from reports.slices import png
+from reports.wall import LightMesh
+from segmentation.arrays import FloatArray
+
+WIDE, TALL, MARGIN = 450, 500, 34
+SHARPNESS = 1.6  # raster pixels per drawing unit
+WALL_RGB = (141, 117, 101)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Where the viewer stands: unit vectors towards the viewer, up and to the right, each (3,)."""
+
+    toward: FloatArray
+    up: FloatArray
+
+    @property
+    def right(self) -> FloatArray:
+        """Unit vector to the viewer's right."""
+        return np.cross(self.up, self.toward)
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """A named place in the scene: ``kind`` start, goal, clearance or curvature; lower `rank` is kept first when room is short."""
+
+    point: FloatArray
+    text: str
+    kind: str
+    rank: int
+
+
+def choose_view(points: FloatArray, frame: str) -> View:
+    """From the front of the patient for LPS; for a mesh, facing the plane in which the points spread most.
+
+    The first point is at the bottom of the picture in a mesh frame.
+    """
+    if frame == "LPS":
+        return View(_unit(np.array([0.18, -1.0, 0.1])), np.array([0.0, 0.0, 1.0]))
+    _, vectors = np.linalg.eigh(np.cov((points - points.mean(axis=0)).T))
+    up, toward = vectors[:, 2], vectors[:, 0]
+    if float((points[-1] - points[0]) @ up) < 0.0:
+        up = -up
+    if toward[int(np.abs(toward).argmax())] < 0.0:
+        toward = -toward
+    return View(toward, up)
+
+
+def _unit(vector: FloatArray) -> FloatArray:
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def still_picture(
+    mesh: LightMesh | None,
+    path: FloatArray,
+    stretches: Sequence[tuple[str, int, int]],
+    labels: Sequence[Label],
+    view: View,
+    words: str,
+) -> Markup:
+    """The scene as one <svg>.
+
+    Parameters
+    ----------
+    mesh : LightMesh or None
+    path : (n, 3) float array, mm; may be empty
+    stretches : sequence of (kind, first index, last index)
+        Flagged parts of the path.
+    labels : sequence of Label
+    view : View
+    words : str
+        What the picture shows, for those who cannot see it.
+    """
+    toward = _unit(view.toward)
+    right = _unit(np.cross(view.up, toward))
+    axes = np.stack([right, np.cross(toward, right), toward], axis=1)  # columns: right, up, depth
+    shown = (mesh.vertices if mesh is not None else path) @ axes
+    if len(shown) == 0:
+        return Markup("")
+    low, high = shown[:, :2].min(axis=0), shown[:, :2].max(axis=0)
+    scale = min((WIDE - 2 * MARGIN) / max(high[0] - low[0], 1e-6), (TALL - 2 * MARGIN) / max(high[1] - low[1], 1e-6))
+    centre = (low + high) / 2
+
+    def place(points: FloatArray) -> FloatArray:
+        flat = points @ axes
+        return np.stack([(flat[:, 0] - centre[0]) * scale + WIDE / 2, TALL / 2 - (flat[:, 1] - centre[1]) * scale], axis=1)
+
+    parts: list[Markup] = []
+    if mesh is not None:
+        pixels = np.column_stack([place(mesh.vertices) * SHARPNESS, shown[:, 2] * scale * SHARPNESS])
+        picture = _glass(pixels, mesh)
+        parts.append(Markup('<image width="{}" height="{}" href="{}"/>').format(WIDE, TALL, png(picture)))
+    if len(path) > 1:
+        line = place(path)
+        parts.append(_line(line, "still-path"))
+        parts += [_line(line[first : last + 1], f"still-flag {kind}") for kind, first, last in stretches if last > first]
+        parts += [tag("circle", class_="end", cx=float(p[0]), cy=float(p[1]), r=4.5) for p in (line[0], line[-1])]
+    parts += _labels(labels, place)
+    return Markup('<svg class="still" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
+        WIDE, TALL, words, Markup("").join(parts)
+    )
+
+
+def _line(points: FloatArray, name: str) -> Markup:
+    thin = points[:: max(1, len(points) // 300)]
+    if not np.array_equal(thin[-1], points[-1]):
+        thin = np.vstack([thin, points[-1]])
+    return tag("path", class_=name, d="M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in thin))
+
+
+def _labels(labels: Sequence[Label], place: object) -> list[Markup]:
+    """Labels in two columns at the sides, each side from top to bottom without overlap, with leaders."""
+    assert callable(place)
+    parts: list[Markup] = []
+    chosen = sorted(labels, key=lambda label: label.rank)[:8]
+    spots = {id(label): place(label.point[None])[0] for label in chosen}
+    middle = float(np.median([spot[0] for spot in spots.values()])) if spots else 0.0
+    for side in ("left", "right"):
+        mine = [label for label in chosen if (spots[id(label)][0] <= middle) == (side == "left")]
+        mine.sort(key=lambda label: float(spots[id(label)][1]))
+        heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 12.0)
+        for label, height in zip(mine, heights, strict=True):
+            x, y = (float(v) for v in spots[id(label)])
+            wide = 6.6 * len(label.text) + 12
+            edge = max(4.0 + wide, x - 40.0) if side == "left" else min(WIDE - 4.0 - wide, x + 40.0)
+            box = edge - wide if side == "left" else edge
+            parts.append(tag("line", class_=f"leader {label.kind}", x1=x, y1=y, x2=edge, y2=height))
+            parts.append(tag("rect", class_=f"plate {label.kind}", x=box, y=height - 10, width=wide, height=19, rx=4))
+            parts.append(
+                tag("text", label.text, class_=f"plate-text {label.kind}", x=box + wide / 2, y=height + 4, text_anchor="middle")
+            )
+    return parts
+
+
+def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Positions in the order given, at least `gap` apart, within `low` to `high` where they fit, near those wanted.
+
+    Examples
+    --------
+    >>> spread([10.0, 12.0], 20.0, 0.0, 100.0)
+    [10.0, 30.0]
+    """
+    out = list(wanted)
+    for k in range(len(out)):
+        out[k] = max(out[k], low if k == 0 else out[k - 1] + gap)
+    for k in reversed(range(len(out))):
+        out[k] = min(out[k], high if k == len(out) - 1 else out[k + 1] - gap)
+    return out
+
+
+def _glass(pixels: FloatArray, mesh: LightMesh) -> NDArray[np.uint8]:
+    """The wall as (h, w, 4) pixels: front and back layer, each dense where the wall is seen edge on.
+
+    Triangles are filled by points: each gets as many as its area asks for, and the
+    nearest (or farthest) of those that fall on a pixel decides its density.
+    """
+    height, width = round(TALL * SHARPNESS), round(WIDE * SHARPNESS)
+    corner = pixels[mesh.faces]  # (m, 3, 3) right, down, toward
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    facing = np.abs(cross[:, 2]) / np.maximum(area, 1e-12)
+    normal = np.zeros((len(pixels), 3))
+    for k in range(3):  # smooth shading: normals at the vertices, weighted by area
+        np.add.at(normal, mesh.faces[:, k], cross)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    tilt = np.abs(normal[:, 2])[mesh.faces]  # (m, 3)
+    edge = np.linalg.norm(corner[:, :, :2] - corner[:, [1, 2, 0], :2], axis=2).max(axis=1)
+    order = np.clip(np.ceil(edge * 1.35), 1, 60).astype(int)
+    flat: list[NDArray[np.int64]] = []
+    depth: list[FloatArray] = []
+    lean: list[FloatArray] = []
+    for n in np.unique(order):
+        rows = np.flatnonzero((order == n) & (area > 0) & (facing > 0.01))
+        weights = np.array([(a + 1 / 3, b + 1 / 3, n - a - b - 2 / 3) for a in range(n) for b in range(n - a)]) / n
+        spots = np.einsum("wk,mkc->mwc", weights, corner[rows]).reshape(-1, 3)
+        column, row = np.floor(spots[:, 0]).astype(int), np.floor(spots[:, 1]).astype(int)
+        seen = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        flat.append((row * width + column)[seen])
+        depth.append(spots[seen, 2])
+        lean.append((tilt[rows] @ weights.T).reshape(-1)[seen])
+    where, away, facing_at = np.concatenate(flat), np.concatenate(depth), np.concatenate(lean)
+    density = np.zeros(width * height)
+    for sign, face, rim in ((-1.0, 0.10, 0.30), (1.0, 0.06, 0.74)):  # farthest layer first, then the nearest over it
+        best = np.full(width * height, -np.inf)
+        np.maximum.at(best, where, sign * away)
+        top = sign * away >= best[where]
+        layer = np.zeros(width * height)
+        layer[where[top]] = face + rim * (1.0 - facing_at[top]) ** 3
+        density += layer * (1.0 - density)
+    picture = np.empty((height, width, 4), np.uint8)
+    picture[..., :3] = WALL_RGB
+    picture[..., 3] = (density * 255).reshape(height, width).astype(np.uint8)
+    return picture

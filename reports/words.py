@@ -1,0 +1,309 @@
+"""What the report says: verdict, key figures and the list of flagged stretches, in words with figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from reports.numbers import Figure, Phrase, Source, digits_apart, phrase
+
+COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+ROWS_SHOWN = 6  # flagged stretches listed at once; the rest is one fold away
+
+STATUS = {
+    "ok": ("yes", "Holds"),
+    "flagged": ("flag", "Flagged"),
+    "infeasible": ("no", "No path"),
+}
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """One of the four figures under the verdict; `tone` is a class of the style sheet or empty."""
+
+    term: str
+    value: Phrase
+    more: tuple[Phrase, ...]
+    tone: str = ""
+
+
+@dataclass(frozen=True)
+class FlagRow:
+    """One flagged stretch."""
+
+    kind: str
+    name: str
+    where: Phrase
+    part: str
+    worst: Phrase
+    go: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The first screen: does it hold, where not, by how much."""
+
+    status: str
+    icon: str
+    word: str
+    line: str
+    title: Phrase
+    lead: Phrase
+    warnings: tuple[str, ...]
+    keys: tuple[KeyFigure, ...]
+    flags: tuple[FlagRow, ...]
+    more_flags: tuple[FlagRow, ...]
+
+
+def part_at(parts: Sequence[Mapping[str, Any]], at: float) -> str:
+    """Name of the part of the anatomy at `at` mm, or an empty string."""
+    return next((str(part["name"]) for part in parts if part["from_mm"] <= at <= part["to_mm"]), "")
+
+
+def count_of(number: int, one: str, many: str) -> str:
+    """A count with its noun, small numbers as words.
+
+    Examples
+    --------
+    >>> count_of(2, "stretch breaks", "stretches break")
+    'two stretches break'
+    """
+    word = COUNTS[number] if number < len(COUNTS) else str(number)
+    return f"{word} {one if number == 1 else many}"
+
+
+def verdict(source: Source, parts: Sequence[Mapping[str, Any]]) -> Verdict:
+    """The verdict of one result, in the status the result itself gives."""
+    result = source.result
+    status = str(result["status"])
+    icon, word = STATUS[status]
+    flags = list(result.get("flagged_intervals") or [])
+    shown, folded = _flag_rows(source, flags, parts)
+    details = result.get("details") or {}
+    return Verdict(
+        status=status,
+        icon=icon,
+        word=word,
+        line=_line(source, status, len(flags)),
+        title=_title(source, status, flags),
+        lead=_lead(source, status, parts),
+        warnings=tuple(str(text) for text in details.get("warnings") or ()),
+        keys=tuple(key for key in (_instrument(source), _margin(source, parts), _bend(source, parts), _takes(source)) if key),
+        flags=shown,
+        more_flags=folded,
+    )
+
+
+def _has_path(source: Source) -> bool:
+    return len((source.result.get("path") or {}).get("points_mm") or ()) > 1
+
+
+def _line(source: Source, status: str, flags: int) -> str:
+    if status == "infeasible":
+        return (
+            "The best path found is drawn for inspection; it is not a plan" if _has_path(source) else "Nothing could be planned"
+        )
+    if status == "ok":
+        return "Planned from start to goal; nothing is flagged"
+    return f"Planned to the end; {count_of(flags, 'stretch breaks', 'stretches break')} a limit"
+
+
+def _margin_figure(source: Source, *, signed: bool = False, strong: bool = False) -> Figure | None:
+    return source.figure("derived:margin_mm", _margin_digits(source), "mm", signed=signed, strong=strong)
+
+
+def _margin_digits(source: Source) -> int:
+    margin = source.value("derived:margin_mm")
+    return 2 if margin is None else digits_apart(margin, 0.0, 2)
+
+
+def _radii(source: Source) -> tuple[Figure | None, Figure | None]:
+    """Sharpest bend's radius and the least allowed, with as many digits as tell them apart."""
+    reached, allowed = source.value("derived:bend_radius_mm"), source.value("derived:bend_radius_limit_mm")
+    digits = 1 if reached is None or allowed is None else digits_apart(reached, allowed, 1)
+    return source.figure("derived:bend_radius_mm", digits, "mm"), source.figure("derived:bend_radius_limit_mm", 1, "mm")
+
+
+def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]]) -> Phrase:
+    if status == "ok":
+        return phrase("Both limits hold along the whole path")
+    if status == "flagged":
+        return phrase(f"The path reaches the goal, but {count_of(len(flags), 'stretch breaks', 'stretches break')} a limit")
+    narrow = min((i for i, f in enumerate(flags) if f["kind"] == "clearance"), key=lambda i: flags[i]["worst"], default=None)
+    sharp = max((i for i, f in enumerate(flags) if f["kind"] == "curvature"), key=lambda i: flags[i]["worst"], default=None)
+    if narrow is not None and sharp is None:
+        return phrase("No path: the lumen is too narrow by ", source.need(f"derived:flag.{narrow}.short_mm", 2, "mm"))
+    if sharp is not None and narrow is None:
+        radius, allowed = (
+            source.figure(f"derived:flag.{sharp}.radius_mm", 1, "mm"),
+            source.figure("derived:bend_radius_limit_mm", 1, "mm"),
+        )
+        if radius is not None and allowed is not None:
+            return phrase("No path: the bend needs a radius of ", radius, ", the instrument allows ", allowed)
+    return phrase("No path keeps both limits") if flags else phrase("No path from start to goal")
+
+
+def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Phrase:
+    reason = source.result.get("reason")
+    if status == "infeasible":
+        return phrase(_sentence(str(reason)) if reason else "")
+    said: list[Phrase] = []
+    margin, at = source.value("derived:margin_mm"), source.figure("derived:clearance_min_at_mm", 1, "mm")
+    asked = source.figure("limits.clearance_min_mm", 2, "mm")
+    if margin is not None and at is not None and asked is not None:
+        place = part_at(parts, at.value)
+        where = phrase("At ", at, f", {place}," if place else "")
+        least = source.need(
+            "metrics.clearance_min_mm",
+            digits_apart(source.need("metrics.clearance_min_mm", 2).value, asked.value, 2),
+            "mm",
+            strong=True,
+        )
+        total = source.figure("derived:flagged_clearance_mm", 1, "mm")
+        if margin < 0.0:
+            said.append(
+                phrase(
+                    where,
+                    " the path has only ",
+                    least,
+                    " to the wall where ",
+                    asked,
+                    " are asked for; it is short over ",
+                    total,
+                    " in all. ",
+                )
+            )
+        else:
+            said.append(phrase(where, " the path comes closest to the wall: ", least, " where ", asked, " are asked for. "))
+    radius, allowed = _radii(source)
+    if radius is not None and allowed is not None:
+        strong = Figure(radius.key, radius.value, radius.digits, radius.unit, strong=True)
+        over = (source.value("derived:curvature_excess_percent") or 0.0) > 0.0
+        total = phrase(", over ", source.figure("derived:flagged_curvature_mm", 1, "mm"), " in all") if over else phrase()
+        said.append(phrase("The sharpest bend has a radius of ", strong, " where the instrument allows ", allowed, total, ". "))
+    certificate = source.result.get("certificate") or {}
+    if certificate.get("holds") and status == "ok":
+        said.append(phrase("Both are proved for every point of the path, between the samples too."))
+    elif status == "flagged":
+        said.append(phrase("Everywhere else both limits hold."))
+    return phrase(*said)
+
+
+def _sentence(text: str) -> str:
+    text = text.strip()
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
+
+
+def _instrument(source: Source) -> KeyFigure | None:
+    diameter = source.figure("derived:instrument_diameter_mm", 2, "mm")
+    asked, allowed = source.figure("limits.clearance_min_mm", 2, "mm"), source.figure("derived:bend_radius_limit_mm", 1, "mm")
+    named = (source.result.get("details") or {}).get("instrument")
+    name = named.get("name") if isinstance(named, Mapping) else named
+    if diameter is None and allowed is None:
+        return None
+    value = (
+        phrase(str(name))
+        if name
+        else phrase("⌀\u00a0", diameter)
+        if diameter is not None and diameter.value > 0
+        else phrase("centre line only")
+    )
+    more = [phrase("least clearance ", asked)] if asked is not None else []
+    if allowed is not None:
+        more.append(phrase("least bend radius ", allowed, " (", source.need("limits.curvature_max_per_mm", 4, "1/mm"), ")"))
+    return KeyFigure("Instrument", value, tuple(more))
+
+
+def _margin(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | None:
+    margin = _margin_figure(source, signed=True)
+    if margin is None:
+        return None
+    least, asked = source.need("metrics.clearance_min_mm", 2), source.need("limits.clearance_min_mm", 2, "mm")
+    least = source.need("metrics.clearance_min_mm", digits_apart(least.value, asked.value, 2))
+    at = source.figure("derived:clearance_min_at_mm", 1, "mm")
+    place = part_at(parts, at.value) if at is not None else ""
+    more = [phrase(least, " of ", asked, " clearance")]
+    if at is not None:
+        more.append(phrase("at ", at, f", {place}" if place else ""))
+    return KeyFigure("Worst margin", phrase(margin), tuple(more), "clearance" if margin.value < 0 else "")
+
+
+def _bend(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | None:
+    reached = source.figure("metrics.curvature_max_per_mm", 4, "1/mm")
+    if reached is None:
+        return None
+    radius, _ = _radii(source)
+    over = source.figure("derived:curvature_excess_percent", 0)
+    at = source.figure("derived:curvature_max_at_mm", 1, "mm")
+    place = part_at(parts, at.value) if at is not None else ""
+    allowed = source.figure("limits.curvature_max_per_mm", 4)
+    more = [phrase(reached, *((" of ", allowed) if allowed is not None else ()))]
+    if over is not None and over.value > 0:
+        over = source.need("derived:curvature_excess_percent", digits_apart(over.value, 0.0, 0))
+        more = [phrase(reached, ", ", over, "\u00a0% over ", allowed)]
+    if at is not None:
+        more.append(phrase("at ", at, f", {place}" if place else ""))
+    value = phrase("radius ", radius) if radius is not None and radius.value < 1000 else phrase("straight")
+    return KeyFigure("Sharpest bend", value, tuple(more), "curvature" if over is not None and over.value > 0 else "")
+
+
+def _takes(source: Source) -> KeyFigure | None:
+    """What this very path would hold for: an instrument as wide as twice its least clearance."""
+    diameter = source.figure("derived:path_diameter_mm", 2, "mm")
+    radius, _ = _radii(source)
+    if diameter is None:
+        return None
+    if diameter.value <= 0:
+        return KeyFigure("This path takes", phrase("no instrument"), (phrase("its centre line touches the wall"),), "never")
+    more = [phrase("the width its least clearance leaves")]
+    if radius is not None and radius.value < 1000:
+        more.append(phrase("if it bends to a radius of ", radius))
+    return KeyFigure(
+        "This path takes", phrase("⌀\u00a0", diameter), tuple(more), "holds" if source.result["status"] == "ok" else ""
+    )
+
+
+def _flag_rows(
+    source: Source, flags: Sequence[Mapping[str, Any]], parts: Sequence[Mapping[str, Any]]
+) -> tuple[tuple[FlagRow, ...], tuple[FlagRow, ...]]:
+    """Rows in path order: the gravest `ROWS_SHOWN`, and the rest."""
+    limits = source.result.get("limits") or {}
+
+    def gravity(index: int) -> float:
+        flag = flags[index]
+        if flag["kind"] == "clearance":
+            asked = limits.get("clearance_min_mm") or 1.0
+            return float(asked - flag["worst"]) / max(asked, 1e-9)
+        return float(flag["worst"]) / max(limits.get("curvature_max_per_mm") or 1.0, 1e-9) - 1.0
+
+    grave = set(sorted(range(len(flags)), key=gravity, reverse=True)[:ROWS_SHOWN])
+    order = sorted(range(len(flags)), key=lambda index: flags[index]["from_mm"])
+    rows = {index: _flag_row(source, index, flags[index], parts) for index in order}
+    return tuple(rows[i] for i in order if i in grave), tuple(rows[i] for i in order if i not in grave)
+
+
+def _flag_row(source: Source, index: int, flag: Mapping[str, Any], parts: Sequence[Mapping[str, Any]]) -> FlagRow:
+    key = f"flagged_intervals.{index}"
+    start, end, at = (source.need(f"{key}.{name}", 1) for name in ("from_mm", "to_mm", "worst_at_mm"))
+    where = phrase(
+        start, " to ", Figure(end.key, end.value, 1, "mm"), ", ", source.need(f"derived:flag.{index}.length_mm", 1, "mm"), " long"
+    )
+    if flag["kind"] == "clearance":
+        asked = source.figure("limits.clearance_min_mm", 2, "mm")
+        digits = 2 if asked is None else digits_apart(flag["worst"], asked.value, 2)
+        worst = phrase(source.need(f"{key}.worst", digits, "mm", strong=True), *((" of ", asked) if asked else ()))
+        name = "Clearance short"
+    else:
+        limit = source.value("derived:bend_radius_limit_mm")
+        radius = source.figure(f"derived:flag.{index}.radius_mm", 1)
+        digits = 1 if radius is None or limit is None else digits_apart(radius.value, limit, 1)
+        worst = phrase(
+            "radius ",
+            source.figure(f"derived:flag.{index}.radius_mm", digits, "mm", strong=True),
+            " of ",
+            source.figure("derived:bend_radius_limit_mm", 1, "mm"),
+        )
+        name = "Bend too sharp"
+    worst = phrase(worst, ", at ", Figure(at.key, at.value, 1, "mm"))
+    return FlagRow(flag["kind"], name, where, part_at(parts, at.value), worst, at.value)
