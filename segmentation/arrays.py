@@ -31,9 +31,7 @@ def frozen_array(
         If the shape differs, or a floating-point value is not finite.
     """
     array = np.asarray(values, dtype=dtype)
-    if array.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, array.shape, strict=True)
-    ):
+    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape, strict=True)):
         wanted = tuple("n" if n is None else n for n in shape)
         raise ValueError(f"{name} has shape {array.shape}, expected {wanted}")
     if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():

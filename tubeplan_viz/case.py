@@ -6,7 +6,7 @@ import math
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,9 @@ class InputCase:
 
     def __post_init__(self) -> None:
         if (self.ct is None) == (self.mesh is None):
-            raise CaseError("give either a CT (--ct, key ct in [input]) or a mesh (--mesh, key mesh in [input]), exactly one of them")
+            raise CaseError(
+                "give either a CT (--ct, key ct in [input]) or a mesh (--mesh, key mesh in [input]), exactly one of them"
+            )
         if self.anatomy is not None and self.anatomy not in ANATOMIES:
             raise CaseError(f"anatomy is {self.anatomy!r}, expected one of {', '.join(ANATOMIES)}")
         if self.connectivity not in (6, 26):
@@ -150,7 +152,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         inputs["seed_point"] = point(inputs["seed_point"], f"{name} [input] seed_point")
     for key in ("hu_min", "hu_max"):
         if inputs.get(key) is not None and inputs[key] != "auto":
-            inputs[key] = number(inputs[key], f"{name} [input] {key}", "a number in HU or \"auto\"")
+            inputs[key] = number(inputs[key], f"{name} [input] {key}", 'a number in HU or "auto"')
     if inputs.get("smoothing_mm") is not None:
         inputs["smoothing_mm"] = number(inputs["smoothing_mm"], f"{name} [input] smoothing_mm")
     planner = dict(table.get("planner", {}))
@@ -167,8 +169,19 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     parts: dict[str, dict[str, Any]] = {"features": {}, "refine": {}, "centerline": {}}
     for key, value in tube.items():
         part, attribute = TUBE_KEYS[key]
-        wanted = {"scans": tuple, "slice_pairs": int, "unchanged_rounds": int, "max_rounds": int, "neighbourhood": int, "t5": int, "t6": int, "t7": int}
-        parts[part][attribute] = tuple(value) if wanted.get(key) is tuple else wanted.get(key, float)(number(value, f"{name} [tube] {key}"))
+        wanted = {
+            "scans": tuple,
+            "slice_pairs": int,
+            "unchanged_rounds": int,
+            "max_rounds": int,
+            "neighbourhood": int,
+            "t5": int,
+            "t6": int,
+            "t7": int,
+        }
+        parts[part][attribute] = (
+            tuple(value) if wanted.get(key) is tuple else wanted.get(key, float)(number(value, f"{name} [tube] {key}"))
+        )
     return Case(
         input=InputCase(**inputs),
         limits=Limits(
@@ -229,11 +242,6 @@ def case_text(case: Case, folder: Path) -> str:
     head = "# tubeplan case, every default resolved. Research use, not for clinical decisions.\n"
     units = "# Points and lengths in mm (LPS for a CT), curvature in 1/mm, HU limits in HU, times in s.\n\n"
     return head + units + tomli_w.dumps(case_table(case, folder=folder))
-
-
-def with_ends(case: Case, start: Sequence[float], goal: Sequence[float]) -> Case:
-    """The case with start and goal as coordinates, whatever labels they came from."""
-    return replace(case, planner=replace(case.planner, start=tuple(map(float, start)), goal=tuple(map(float, goal))))
 
 
 def listed(value: Any) -> Any:

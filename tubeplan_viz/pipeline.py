@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from segmentation.caps import mark_flat_ends
 
 from reports import write_report
-from segmentation.caps import mark_flat_ends
 from segmentation.errors import CaseError
 from segmentation.images import read_ct
 from segmentation.lumen import SegmentationSettings, segment_lumen
@@ -115,9 +115,7 @@ def lumen_of_mesh(case: InputCase, near: Place | None, watch: Stopwatch) -> Lume
     assert case.mesh is not None
     with watch.stage("read mesh"):
         given = read_surface(case.mesh, mesh_unit=case.mesh_unit, part=case.part, near=None if isinstance(near, str) else near)
-    return Lumen(
-        surface=given.surface, volume=None, region=None, facts=given.facts, warnings=given.warnings, inputs=given.inputs
-    )
+    return Lumen(surface=given.surface, volume=None, region=None, facts=given.facts, warnings=given.warnings, inputs=given.inputs)
 
 
 def lumen_of_ct(case: InputCase, watch: Stopwatch) -> Lumen:
@@ -315,9 +313,7 @@ def run_case(
             details = case_details(case, lumen, tree, written, warnings)
 
             def document() -> dict[str, Any]:
-                return build_result(
-                    plan, frame=written.frame, timings_s=watch.seconds, provenance=provenance, details=details
-                )
+                return build_result(plan, frame=written.frame, timings_s=watch.seconds, provenance=provenance, details=details)
 
             if stream is not None:
                 with watch.stage("recording"):
@@ -337,7 +333,9 @@ def run_case(
         return folder.finish(result)
 
 
-def follow(steps: Iterator[PlanStep], stream: Recording | None, case: Case, progress: Callable[[int, int], None]) -> list[PlanStep]:
+def follow(
+    steps: Iterator[PlanStep], stream: Recording | None, case: Case, progress: Callable[[int, int], None]
+) -> list[PlanStep]:
     """Run the iteration, feeding each step to the recording as it happens."""
     done: list[PlanStep] = []
     for step in steps:

@@ -67,7 +67,9 @@ class Limits:
 
     def __post_init__(self) -> None:
         if not 1e-4 <= self.curvature_max <= 10.0:
-            raise CaseError(f"curvature_max is {self.curvature_max:g} 1/mm, expected 0.0001 to 10 (a bend radius of 0.1 mm to 10 m)")
+            raise CaseError(
+                f"curvature_max is {self.curvature_max:g} 1/mm, expected 0.0001 to 10 (a bend radius of 0.1 mm to 10 m)"
+            )
         if not 0.0 <= self.clearance_min <= 100.0:
             raise CaseError(f"clearance_min is {self.clearance_min:g} mm, expected 0 to 100 (the instrument's radius)")
 
@@ -94,7 +96,14 @@ class PathProfile:
 
     def __post_init__(self) -> None:
         n = len(self.arc_length)
-        for name, shape in [("arc_length", (n,)), ("points", (n, 3)), ("tangents", (n, 3)), ("curvature", (n,)), ("torsion", (n,)), ("clearance", (n,))]:
+        for name, shape in [
+            ("arc_length", (n,)),
+            ("points", (n, 3)),
+            ("tangents", (n, 3)),
+            ("curvature", (n,)),
+            ("torsion", (n,)),
+            ("clearance", (n,)),
+        ]:
             object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name))
 
     @property

@@ -48,7 +48,9 @@ def flag_stretches(profile: PathProfile, limits: Limits) -> tuple[FlaggedInterva
             value = profile.curvature[worst] if kind is FlagKind.CURVATURE else profile.clearance[worst]
             start = s[first] if first == 0 else crossing(s, excess, first - 1)
             end = s[last] if last == len(s) - 1 else crossing(s, excess, last)
-            found.append(FlaggedInterval(kind=kind, start=float(start), end=float(end), worst=float(value), worst_at=float(s[worst])))
+            found.append(
+                FlaggedInterval(kind=kind, start=float(start), end=float(end), worst=float(value), worst_at=float(s[worst]))
+            )
     return tuple(sorted(found, key=lambda f: (f.start, f.kind)))
 
 

@@ -44,9 +44,23 @@ def centerline_rows(case: str, model: Model) -> list[Row]:
     radius_error = np.abs(line.radii[interior] - model.radius[nearest])
     inside = wall.inside(line.points)
     return [
-        Row(case=case, figure="interior error mm, mean", ours=float(gap.mean()), reference=VMTK_ERROR, source="VMTK 1.5.2, raw", target="under 0.02", holds=bool(gap.mean() < 0.02)),
+        Row(
+            case=case,
+            figure="interior error mm, mean",
+            ours=float(gap.mean()),
+            reference=VMTK_ERROR,
+            source="VMTK 1.5.2, raw",
+            target="under 0.02",
+            holds=bool(gap.mean() < 0.02),
+        ),
         Row(case=case, figure="interior error mm, largest", ours=float(gap.max())),
-        Row(case=case, figure="radius error mm, mean", ours=float(radius_error.mean()), target="under 0.02", holds=bool(radius_error.mean() < 0.02)),
+        Row(
+            case=case,
+            figure="radius error mm, mean",
+            ours=float(radius_error.mean()),
+            target="under 0.02",
+            holds=bool(radius_error.mean() < 0.02),
+        ),
         Row(case=case, figure="points inside %", ours=100.0 * float(inside.mean()), target="100", holds=bool(inside.all())),
         Row(case=case, figure="time s", ours=seconds, reference=VMTK_SECONDS, source="VMTK 1.5.2, 2 cores"),
     ]

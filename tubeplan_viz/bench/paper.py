@@ -56,23 +56,57 @@ BENT = (
     (
         "cylinder 1",
         bent_cylinder_1,
-        Printed(features=12, seconds=2.110, rounds=36, clearance_min=2.412, clearance_mean=2.768, curvature_max=0.100, curvature_mean=0.048, centerline_distance=0.240),
+        Printed(
+            features=12,
+            seconds=2.110,
+            rounds=36,
+            clearance_min=2.412,
+            clearance_mean=2.768,
+            curvature_max=0.100,
+            curvature_mean=0.048,
+            centerline_distance=0.240,
+        ),
     ),
     (
         "variant 1",
         variant_1,
-        Printed(features=11, seconds=2.185, rounds=51, clearance_min=1.815, clearance_mean=2.506, curvature_max=0.100, curvature_mean=0.051, centerline_distance=0.485),
+        Printed(
+            features=11,
+            seconds=2.185,
+            rounds=51,
+            clearance_min=1.815,
+            clearance_mean=2.506,
+            curvature_max=0.100,
+            curvature_mean=0.051,
+            centerline_distance=0.485,
+        ),
     ),
     # The paper stopped variant 2 after 7 rounds at 0.197 1/mm; 107 rounds met the curvature
     # limit with a clearance under 1.5 mm, printed as flagged and without a number.
     (
         "variant 2",
         variant_2,
-        Printed(features=12, seconds=2.043, rounds=107, clearance_min=None, clearance_mean=2.712, curvature_max=0.100, curvature_mean=0.062, centerline_distance=0.348),
+        Printed(
+            features=12,
+            seconds=2.043,
+            rounds=107,
+            clearance_min=None,
+            clearance_mean=2.712,
+            curvature_max=0.100,
+            curvature_mean=0.062,
+            centerline_distance=0.348,
+        ),
     ),
 )
 PRINTED_CYLINDER_2 = Printed(
-    features=13, seconds=1.772, rounds=0, clearance_min=2.795, clearance_mean=8.342, curvature_max=0.031, curvature_mean=0.021, centerline_distance=0.218
+    features=13,
+    seconds=1.772,
+    rounds=0,
+    clearance_min=2.795,
+    clearance_mean=8.342,
+    curvature_max=0.031,
+    curvature_mean=0.021,
+    centerline_distance=0.218,
 )
 
 
@@ -118,11 +152,15 @@ def bent_rows(name: str, outcomes: list[Outcome], printed: Printed) -> list[Row]
     plans = [outcome.plan for outcome in outcomes]
     case = f"{name}, {len(plans)} seeds"
     rounds = np.array([plan.steps[-1].index for plan in plans])
-    met = [plan.metrics["curvature_max_per_mm"] <= plan.limits.curvature_max and r <= ROUNDS_ALLOWED for plan, r in zip(plans, rounds, strict=True)]
+    met = [
+        plan.metrics["curvature_max_per_mm"] <= plan.limits.curvature_max and r <= ROUNDS_ALLOWED
+        for plan, r in zip(plans, rounds, strict=True)
+    ]
     features = np.array([len(plan.steps[0].features) for plan in plans])
     clearance = np.array([plan.metrics["clearance_min_mm"] for plan in plans])
     short_unflagged = [
-        plan.metrics["clearance_min_mm"] < plan.limits.clearance_min and not any(f.kind is FlagKind.CLEARANCE for f in plan.flagged)
+        plan.metrics["clearance_min_mm"] < plan.limits.clearance_min
+        and not any(f.kind is FlagKind.CLEARANCE for f in plan.flagged)
         for plan in plans
     ]
     distance = np.array([plan.metrics["centerline_distance_mean_mm"] for plan in plans])
@@ -132,9 +170,21 @@ def bent_rows(name: str, outcomes: list[Outcome], printed: Printed) -> list[Row]
         return float(np.median([plan.metrics[key] for plan in plans]))
 
     return [
-        Row(case=case, figure=f"runs within the curvature limit in {ROUNDS_ALLOWED} rounds", ours=sum(met), target=f"{len(plans)}", holds=all(met)),
+        Row(
+            case=case,
+            figure=f"runs within the curvature limit in {ROUNDS_ALLOWED} rounds",
+            ours=sum(met),
+            target=f"{len(plans)}",
+            holds=all(met),
+        ),
         Row(case=case, figure="rounds, median", ours=float(np.median(rounds)), reference=printed.rounds, source=TABLE),
-        Row(case=case, figure="rounds, largest", ours=float(rounds.max()), target=f"at most {ROUNDS_ALLOWED}", holds=bool(rounds.max() <= ROUNDS_ALLOWED)),
+        Row(
+            case=case,
+            figure="rounds, largest",
+            ours=float(rounds.max()),
+            target=f"at most {ROUNDS_ALLOWED}",
+            holds=bool(rounds.max() <= ROUNDS_ALLOWED),
+        ),
         Row(
             case=case,
             figure="feature points, median",
@@ -144,12 +194,48 @@ def bent_rows(name: str, outcomes: list[Outcome], printed: Printed) -> list[Row]
             target="12 ± 1",
             holds=bool(np.all(np.abs(features - 12) <= 1)),
         ),
-        Row(case=case, figure="least clearance mm, median", ours=float(np.median(clearance)), reference=printed.clearance_min, source=TABLE if printed.clearance_min else ""),
-        Row(case=case, figure="least clearance mm, smallest", ours=float(clearance.min()), reference=1.5 if printed.clearance_min is None else None, source="Dai 2024: under 1.5" if printed.clearance_min is None else ""),
-        Row(case=case, figure="short of clearance and not flagged, runs", ours=sum(short_unflagged), target="0", holds=not any(short_unflagged)),
-        Row(case=case, figure="mean clearance mm", ours=median("clearance_mean_mm"), reference=printed.clearance_mean, source=TABLE),
-        Row(case=case, figure="largest curvature 1/mm", ours=median("curvature_max_per_mm"), reference=printed.curvature_max, source=TABLE),
-        Row(case=case, figure="mean curvature 1/mm", ours=median("curvature_mean_per_mm"), reference=printed.curvature_mean, source=TABLE),
+        Row(
+            case=case,
+            figure="least clearance mm, median",
+            ours=float(np.median(clearance)),
+            reference=printed.clearance_min,
+            source=TABLE if printed.clearance_min else "",
+        ),
+        Row(
+            case=case,
+            figure="least clearance mm, smallest",
+            ours=float(clearance.min()),
+            reference=1.5 if printed.clearance_min is None else None,
+            source="Dai 2024: under 1.5" if printed.clearance_min is None else "",
+        ),
+        Row(
+            case=case,
+            figure="short of clearance and not flagged, runs",
+            ours=sum(short_unflagged),
+            target="0",
+            holds=not any(short_unflagged),
+        ),
+        Row(
+            case=case,
+            figure="mean clearance mm",
+            ours=median("clearance_mean_mm"),
+            reference=printed.clearance_mean,
+            source=TABLE,
+        ),
+        Row(
+            case=case,
+            figure="largest curvature 1/mm",
+            ours=median("curvature_max_per_mm"),
+            reference=printed.curvature_max,
+            source=TABLE,
+        ),
+        Row(
+            case=case,
+            figure="mean curvature 1/mm",
+            ours=median("curvature_mean_per_mm"),
+            reference=printed.curvature_mean,
+            source=TABLE,
+        ),
         Row(
             case=case,
             figure="mean distance to the centerline mm, largest",
@@ -190,7 +276,13 @@ def cylinder_2_rows(outcome: Outcome) -> list[Row]:
         ("refinement s", lambda: outcome.seconds, printed.seconds),
     )
     return [
-        Row(case=case, figure="flagged stretches", ours=len(plan.flagged), target=f"{len(truth)}", holds=len(plan.flagged) == len(truth)),
+        Row(
+            case=case,
+            figure="flagged stretches",
+            ours=len(plan.flagged),
+            target=f"{len(truth)}",
+            holds=len(plan.flagged) == len(truth),
+        ),
         Row(case=case, figure="ends of flagged stretches, largest error mm", ours=worst, target="at most 0.5", holds=exact),
         *(Row(case=case, figure=figure, ours=value(), reference=reference, source=TABLE) for figure, value, reference in entries),
     ]

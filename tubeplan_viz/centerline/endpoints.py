@@ -52,7 +52,9 @@ class Endpoint:
         object.__setattr__(self, "point", frozen_array(self.point, (3,), "endpoint"))
 
 
-def find_endpoints(graph: VoronoiGraph, wall: WallDistance, *, root: ArrayLike | None = None, settings: CenterlineSettings | None = None) -> tuple[Endpoint, ...]:
+def find_endpoints(
+    graph: VoronoiGraph, wall: WallDistance, *, root: ArrayLike | None = None, settings: CenterlineSettings | None = None
+) -> tuple[Endpoint, ...]:
     """Tips of the lumen's tree.
 
     Parameters

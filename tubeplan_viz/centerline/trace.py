@@ -116,7 +116,7 @@ def resample(points: FloatArray, wall: WallDistance, settings: CenterlineSetting
     """Smooth, even points along a Voronoi polyline; the ends stay where they are."""
     fine = 0.25 * settings.step
     line = even_points(points, fine)
-    window = 2 * int(round(0.5 * settings.smoothing / fine)) + 1
+    window = 2 * round(0.5 * settings.smoothing / fine) + 1
     if len(line) > window > 3:
         smooth = savgol_filter(line, window, 2, axis=0, mode="interp")
         # A fit may cut a corner of a tight lumen: keep it only where it stays as clear of the wall.

@@ -124,7 +124,9 @@ def voronoi_graph(surface: Surface, wall: WallDistance, *, points: FloatArray | 
     candidate = np.flatnonzero(np.all((centers >= low) & (centers <= high), axis=1) & np.isfinite(radii) & (radii > 4 * JITTER))
     inside = candidate[wall.inside(centers[candidate])] if len(candidate) else candidate
     if len(inside) == 0:
-        raise GeometryError(f"no inscribed sphere found among {len(points)} wall points; the mesh is too coarse, refine it and try again")
+        raise GeometryError(
+            f"no inscribed sphere found among {len(points)} wall points; the mesh is too coarse, refine it and try again"
+        )
     number = np.full(len(centers), -1)
     number[inside] = np.arange(len(inside))
     neighbors = delaunay.neighbors[inside]  # (n, 4)

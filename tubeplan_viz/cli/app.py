@@ -86,7 +86,7 @@ def status_of(arguments: Sequence[str] | None = None) -> int:
     except TubeplanError as fault:
         complain(str(fault))
         return BAD_INPUT
-    except Exception as fault:  # noqa: BLE001 - the last line of defence: a fault of the program, said as such
+    except Exception as fault:
         import traceback
 
         frame = traceback.extract_tb(fault.__traceback__)[-1]

@@ -10,7 +10,6 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-
 from segmentation.errors import CaseError
 from tubeplan_viz.case import make_case
 from tubeplan_viz.cli.options import Json, Quiet, case_options
@@ -51,6 +50,13 @@ def endpoints(
     for tip in tips:
         x, y, z = (f"{v:.1f}" for v in tip["point_mm"])
         table.add_row(
-            tip["label"], x, y, z, f"{tip['radius_mm']:.2f}", f"{tip['branch_length_mm']:.1f}", f"{tip['confidence']:.2f}", tip["cap"] or ""
+            tip["label"],
+            x,
+            y,
+            z,
+            f"{tip['radius_mm']:.2f}",
+            f"{tip['branch_length_mm']:.1f}",
+            f"{tip['confidence']:.2f}",
+            tip["cap"] or "",
         )
     Console().print(table)

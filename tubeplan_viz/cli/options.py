@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,7 +18,8 @@ Force = Annotated[bool, typer.Option("--force", help="Replace an earlier run of 
 NoRecording = Annotated[bool, typer.Option("--no-recording", help="Leave recording.rrd out.")]
 NoReport = Annotated[bool, typer.Option("--no-report", help="Leave report.html out.")]
 Connect = Annotated[
-    str | None, typer.Option("--connect", help="Feed a running rerun viewer while planning, e.g. rerun+http://127.0.0.1:9876/proxy.")
+    str | None,
+    typer.Option("--connect", help="Feed a running rerun viewer while planning, e.g. rerun+http://127.0.0.1:9876/proxy."),
 ]
 
 # Option name in the command line's parameters -> (table and key of the case file, type, declaration).
@@ -31,7 +31,12 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
     "part": ("input", "part", str, typer.Option("--part", help="Part of a mesh scene.")),
     "case_id": ("input", "case_id", str, typer.Option("--case-id", help="Name of the case in all outputs; no patient's name.")),
     "anatomy": ("input", "anatomy", str, typer.Option("--anatomy", help="airway, urinary, vessel or generic: limits and seed.")),
-    "seed_point": ("input", "seed_point", str, typer.Option("--seed-point", help="X,Y,Z in mm (LPS): where region growing begins.")),
+    "seed_point": (
+        "input",
+        "seed_point",
+        str,
+        typer.Option("--seed-point", help="X,Y,Z in mm (LPS): where region growing begins."),
+    ),
     "hu_min": ("input", "hu_min", str, typer.Option("--hu-min", help="Lower HU limit, or auto.")),
     "hu_max": ("input", "hu_max", str, typer.Option("--hu-max", help="Upper HU limit, or auto.")),
     "connectivity": ("input", "connectivity", int, typer.Option("--connectivity", help="6 or 26 neighbours.")),
@@ -49,9 +54,19 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
     "closed_ends": ("planner", "closed_ends", bool, typer.Option("--closed-ends", help="Count end caps as wall.")),
     "rng_seed": ("planner", "rng_seed", int, typer.Option("--rng-seed", help="Seed of all randomness.")),
     "time_budget": ("planner", "time_budget", float, typer.Option("--time-budget", help="No further round after this many s.")),
-    "scans": ("tube", "scans", str, typer.Option("--scans", help="Feature scans, comma-separated: nodes,extrema,segments,inflections,dense.")),
+    "scans": (
+        "tube",
+        "scans",
+        str,
+        typer.Option("--scans", help="Feature scans, comma-separated: nodes,extrema,segments,inflections,dense."),
+    ),
     "max_rounds": ("tube", "max_rounds", int, typer.Option("--max-rounds", help="Rounds of the feature iteration at most.")),
-    "centerline_step": ("tube", "centerline_step_mm", float, typer.Option("--centerline-step", help="Centerline spacing, mm [1].")),
+    "centerline_step": (
+        "tube",
+        "centerline_step_mm",
+        float,
+        typer.Option("--centerline-step", help="Centerline spacing, mm [1]."),
+    ),
 }
 
 
@@ -59,7 +74,6 @@ def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command all options of a case; it receives those that were set as tables, `given`."""
     own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "given"]
 
-    @functools.wraps(command)
     def wrapper(**values: Any) -> Any:
         set_here = {name: values.pop(name) for name in CASE_OPTIONS}
         return command(given=tables(set_here), **values)
@@ -69,9 +83,10 @@ def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
         for name, (_, _, kind, declaration) in CASE_OPTIONS.items()
     ]
     parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own] + shared
-    wrapper.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    # typer reads the signature and the annotations of what it is given, not those of this wrapper.
+    wrapper.__dict__["__signature__"] = inspect.Signature(parameters)
     wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
-    del wrapper.__wrapped__  # type: ignore[attr-defined]
+    wrapper.__name__, wrapper.__doc__ = command.__name__, command.__doc__
     return wrapper
 
 

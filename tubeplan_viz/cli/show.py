@@ -76,13 +76,15 @@ def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> in
     words = {0: "holds: both limits are kept and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
     typer.echo(words if result["reason"] is None else f"{words}: {result['reason']}")
     typer.echo(
-        f"path {metrics['length_mm']:.1f} mm, least clearance {metrics['clearance_min_mm']:.2f} of {limits['clearance_min_mm']:g} mm, "
+        f"path {metrics['length_mm']:.1f} mm, "
+        f"least clearance {metrics['clearance_min_mm']:.2f} of {limits['clearance_min_mm']:g} mm, "
         f"largest curvature {metrics['curvature_max_per_mm']:.4f} of {limits['curvature_max_per_mm']:g} 1/mm"
     )
     for flag in result["flagged_intervals"]:
         unit = "mm" if flag["kind"] == "clearance" else "1/mm"
         typer.echo(
-            f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, worst {flag['worst']:.4g} {unit} at {flag['worst_at_mm']:.1f} mm"
+            f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, "
+            f"worst {flag['worst']:.4g} {unit} at {flag['worst_at_mm']:.1f} mm"
         )
     for name in ("report.html", "recording.rrd"):
         if (folder / name).exists():

@@ -95,20 +95,29 @@ def piece_curvature_bounds(control: FloatArray) -> FloatArray:
     d0, d1, d2 = (first[:, k] for k in range(3))
     e0, e1 = second[:, 0], second[:, 1]
     cross = np.stack(
-        [np.cross(d0, e0), (np.cross(d0, e1) + 2.0 * np.cross(d1, e0)) / 3.0, (2.0 * np.cross(d1, e1) + np.cross(d2, e0)) / 3.0, np.cross(d2, e1)],
+        [
+            np.cross(d0, e0),
+            (np.cross(d0, e1) + 2.0 * np.cross(d1, e0)) / 3.0,
+            (2.0 * np.cross(d1, e1) + np.cross(d2, e0)) / 3.0,
+            np.cross(d2, e1),
+        ],
         axis=1,
     )
-    dot = lambda x, y: np.einsum("ij,ij->i", x, y)  # noqa: E731
-    square = np.stack(
-        [dot(d0, d0), dot(d0, d1), (dot(d0, d2) + 2.0 * dot(d1, d1)) / 3.0, dot(d1, d2), dot(d2, d2)], axis=1
-    )
+    square = np.stack([dots(d0, d0), dots(d0, d1), (dots(d0, d2) + 2.0 * dots(d1, d1)) / 3.0, dots(d1, d2), dots(d2, d2)], axis=1)
     slowest = square.min(axis=1)
     largest = np.linalg.norm(cross, axis=2).max(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(slowest > 0, largest / np.maximum(slowest, 1e-300) ** 1.5, np.inf)
 
 
-def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: float | None = None, tolerance: float = 0.01) -> Bound:
+def dots(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Scalar products row by row, (m,)."""
+    return np.asarray(np.einsum("ij,ij->i", x, y))
+
+
+def clearance_lower_bound(
+    curve: SplineCurve, wall: WallDistance, *, limit: float | None = None, tolerance: float = 0.01
+) -> Bound:
     """Least clearance along a cubic spline, bounded from below within `tolerance` mm.
 
     Parameters

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,7 +75,7 @@ class SplineCurve:
     def _length_table(self) -> tuple[FloatArray, FloatArray]:
         """Parameters at the borders of the pieces and the arc length up to each."""
         breaks = np.unique(self.knots)
-        borders = np.unique(np.concatenate([np.linspace(a, b, PIECES_PER_SPAN + 1) for a, b in zip(breaks, breaks[1:], strict=False)]))
+        borders = np.unique(np.concatenate([np.linspace(a, b, PIECES_PER_SPAN + 1) for a, b in pairwise(breaks)]))
         return borders, np.concatenate([[0.0], np.cumsum(self._piece_lengths(borders[:-1], borders[1:]))])
 
     def _piece_lengths(self, lower: FloatArray, upper: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def inflections(c: FloatArray, features: dict[int, FeatureKind], settings: Featu
     Eq. 12 prints the maximum, with which eq. 13-14 cannot hold; the minimum is meant (spec 1.4).
     """
     order, reach, found = sorted(features), settings.neighbourhood, []
-    for a, b in zip(order, order[1:], strict=False):
+    for a, b in pairwise(order):
         same = features[a] == features[b] and features[a] in (FeatureKind.EXTREMUM, FeatureKind.SEGMENT)
         if not same or b - a < 2:
             continue
@@ -146,7 +147,11 @@ def wide_range_nodes(c: FloatArray, features: dict[int, FeatureKind], settings: 
     take floor((I1 + I2 - T5) / T6) nodes; a bare start-goal pair counts as such a span (spec 1.4).
     """
     order = sorted(features)
-    spans = [(order[0], order[-1])] if len(order) == 2 else [(order[k - 1], order[k + 1]) for k in range(1, len(order) - 1) if alike(features, order, k)]
+    spans = (
+        [(order[0], order[-1])]
+        if len(order) == 2
+        else [(order[k - 1], order[k + 1]) for k in range(1, len(order) - 1) if alike(features, order, k)]
+    )
     found: set[int] = set()
     taken = order[0]
     for a, b in spans:
@@ -156,7 +161,7 @@ def wide_range_nodes(c: FloatArray, features: dict[int, FeatureKind], settings: 
         if b - a <= settings.t5 or count < 1:
             continue
         parts = np.linspace(a + 1, b, count + 1).astype(int)
-        found |= {int(p + np.argmax(c[p:q])) for p, q in zip(parts, parts[1:], strict=False) if q > p}
+        found |= {int(p + np.argmax(c[p:q])) for p, q in pairwise(parts) if q > p}
         taken = b
     return sorted(found - set(features))
 

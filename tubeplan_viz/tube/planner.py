@@ -97,7 +97,9 @@ def pose_problem(
             f"no way inside the lumen leads from the start {place(ends[0])} to the goal {place(ends[1])}: "
             "they lie in parts that no inscribed sphere joins; choose a goal in the same part or check the segmentation there"
         )
-    return TubeProblem(surface=surface, wall=wall, centerline=centerline, start=ends[0], goal=ends[1], limits=limits, settings=settings)
+    return TubeProblem(
+        surface=surface, wall=wall, centerline=centerline, start=ends[0], goal=ends[1], limits=limits, settings=settings
+    )
 
 
 def check_inside(name: str, point: FloatArray, wall: WallDistance) -> None:
@@ -119,9 +121,7 @@ def place(point: FloatArray) -> str:
 def tube_rounds(problem: TubeProblem) -> Iterator[Round]:
     """The bare iteration, without measuring each round for the reviewer."""
     settings = problem.settings
-    slices = SliceClearance(
-        problem.surface, problem.wall, limit=problem.limits.clearance_min, pairs=settings.refine.slice_pairs
-    )
+    slices = SliceClearance(problem.surface, problem.wall, limit=problem.limits.clearance_min, pairs=settings.refine.slice_pairs)
     features = first_features(problem.centerline, settings.features)
     return refine(features, problem.centerline, slices, problem.limits, settings.refine)
 
@@ -194,13 +194,16 @@ def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
     )
 
 
-def verdict(problem: TubeProblem, flagged: tuple[FlaggedInterval, ...], holds: bool, widest: int) -> tuple[PlanStatus, str | None]:
+def verdict(
+    problem: TubeProblem, flagged: tuple[FlaggedInterval, ...], holds: bool, widest: int
+) -> tuple[PlanStatus, str | None]:
     """Status and its reason in one sentence."""
     limits, radii = problem.limits, problem.centerline.radii
     if radii[widest] < limits.clearance_min:
         return PlanStatus.INFEASIBLE, (
-            f"the lumen is narrower than the instrument everywhere: its widest inscribed sphere on the way has a radius of "
-            f"{radii[widest]:.2f} mm at {problem.centerline.arc_length[widest]:.1f} mm, {place(problem.centerline.points[widest])}; "
+            "the lumen is narrower than the instrument everywhere: its widest inscribed sphere on the way has a radius of "
+            f"{radii[widest]:.2f} mm at {problem.centerline.arc_length[widest]:.1f} mm, "
+            f"{place(problem.centerline.points[widest])}; "
             f"{limits.clearance_min:g} mm are required"
         )
     if flagged:
@@ -224,7 +227,8 @@ def flag_sentence(flagged: tuple[FlaggedInterval, ...], limits: Limits) -> str:
     if curvature:
         worst = max(curvature, key=lambda f: f.worst)
         parts.append(
-            f"curvature rises to {worst.worst:.4f} 1/mm at {worst.worst_at:.1f} mm where {limits.curvature_max:g} 1/mm are allowed "
+            f"curvature rises to {worst.worst:.4f} 1/mm at {worst.worst_at:.1f} mm "
+            f"where {limits.curvature_max:g} 1/mm are allowed "
             f"({stretches(curvature)})"
         )
     return "; ".join(parts)

@@ -63,7 +63,9 @@ class RefineSettings:
 
     def __post_init__(self) -> None:
         if not 0 < self.sigma < 1 or not 0 < self.sigma_extremum < 1:
-            raise CaseError(f"sigma is {self.sigma:g} and {self.sigma_extremum:g} for extrema, expected between 0 and 1 (Dai 2024: 0.001)")
+            raise CaseError(
+                f"sigma is {self.sigma:g} and {self.sigma_extremum:g} for extrema, expected between 0 and 1 (Dai 2024: 0.001)"
+            )
         if self.max_rounds < 0:
             raise CaseError(f"max_rounds is {self.max_rounds}, expected 0 or more")
 
@@ -108,14 +110,18 @@ def refine(
     tree = cKDTree(centerline.points)
     target = limits.curvature_max * settings.aim
     curve, features = through(features)
-    yield Round(index=0, curve=curve, features=features, moved=0, added=0, decisions=(f"spline through {len(features)} features",))
+    yield Round(
+        index=0, curve=curve, features=features, moved=0, added=0, decisions=(f"spline through {len(features)} features",)
+    )
     grid = np.linspace(0.0, 1.0, max(int(np.ceil(curve.length / settings.sample_spacing)), 8) + 1)
     unchanged, last_sharp, last_worst = 0, np.empty(0, dtype=np.int64), np.inf
     for index in range(1, settings.max_rounds + 1):
         decisions: list[str] = []
         short, values = slices.short_samples(curve, grid)
         added = missing_features(features, curve, grid, short, values, centerline, tree, settings)
-        decisions += [f"clearance {r:.2f} mm of {limits.clearance_min:g} mm: centerline point added as a feature" for _, r in added]
+        decisions += [
+            f"clearance {r:.2f} mm of {limits.clearance_min:g} mm: centerline point added as a feature" for _, r in added
+        ]
         knots = np.array([f.u for f in features])
         u = np.union1d(grid, knots)
         curvature = curve.curvature(u)
@@ -130,7 +136,10 @@ def refine(
             return
         last_sharp, last_worst = sharp, worst
         if len(moving):
-            decisions.append(f"curvature {worst:.4f} 1/mm of {limits.curvature_max:g}: {len(moving)} features moved towards their circles' centres")
+            decisions.append(
+                f"curvature {worst:.4f} 1/mm of {limits.curvature_max:g}: "
+                f"{len(moving)} features moved towards their circles' centres"
+            )
         features = relax(features, moving, settings)
         features = tuple(sorted((*features, *(f for f, _ in added)), key=lambda f: f.u))
         curve, features = through(features)
