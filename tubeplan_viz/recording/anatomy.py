@@ -17,7 +17,7 @@ from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.sink import Sink
 
 WALL_FACES = 30_000
-WALL_FACES_LIGHT = 4_000
+WALL_FACES_LIGHT = 2_000
 VOXEL_BUDGET = 1_200_000
 CROP_MARGIN_MM = 12.0
 FINE_SPACING_MM = 1.4
@@ -64,14 +64,16 @@ def log_surface(sink: Sink, surface: Surface, *, light: bool) -> None:
         )
 
 
-def log_centerline(sink: Sink, centerline: Centerline) -> None:
+def log_centerline(sink: Sink, centerline: Centerline, *, light: bool) -> None:
     """The centerline with its radii, and some of the inscribed spheres, which are hidden until asked for."""
     sink.log(
         at.CENTERLINE,
-        rr.LineStrips3D([centerline.points], colors=at.CENTERLINE_COLOR, radii=rr.Radius.ui_points(1.2)),
-        rr.AnyValues(points_mm=centerline.points.ravel(), radius_mm=centerline.radii),
+        rr.LineStrips3D([centerline.points], colors=at.CENTERLINE_COLOR, radii=rr.Radius.ui_points(1.0)),
+        rr.AnyValues(radius_mm=centerline.radii),
         static=True,
     )
+    if light:
+        return
     ticks = np.arange(0.0, centerline.arc_length[-1] + 1e-9, INSCRIBED_STEP_MM)
     chosen = np.unique(np.abs(centerline.arc_length[:, None] - ticks[None, :]).argmin(axis=0))
     sink.log(
@@ -110,8 +112,8 @@ def log_volume(sink: Sink, volume: Volume, region: Region | None) -> str:
         sink.log(at.MASK, rr.Tensor(half, dim_names=("slice", "row", "column"), value_range=(0, 1)), static=True)
     kept = " x ".join(str(n // s) for n, s in zip(size, steps, strict=True))
     return (
-        f"CT in the recording: {kept} voxels around the lumen, every {steps[0]}, {steps[1]}, {steps[2]} voxels of slice, row and column "
-        f"averaged; grey values from {window[0]:g} to {window[1]:g} HU"
+        f"CT in the recording: {kept} voxels around the lumen, each the mean of {steps[0]} x {steps[1]} x {steps[2]} "
+        f"(slice, row, column); grey values from {window[0]:g} to {window[1]:g} HU"
     )
 
 
@@ -151,6 +153,7 @@ def log_growth(sink: Sink, curve: GrowthCurve) -> None:
             rr.Points3D(
                 [curve.leak_point],
                 labels=[f"leak begins at {curve.leak_limit:g} HU"],
+                show_labels=False,
                 colors=at.LEAK,
                 radii=rr.Radius.ui_points(4.0),
             ),

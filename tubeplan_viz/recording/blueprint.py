@@ -26,7 +26,7 @@ class Contents:
     frame: str
     has_ct: bool = False
     has_growth: bool = False
-    has_walk: bool = False
+    has_camera: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,7 +63,7 @@ def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
     away = away / np.linalg.norm(away) + 0.25 * front / np.linalg.norm(front)
     away /= np.linalg.norm(away)
     up = np.array([0.0, 0.0, 1.0]) if abs(away[2]) < 0.8 else np.array([0.0, -1.0 if frame == "LPS" else 1.0, 0.0])
-    return Viewpoint(position=target + away * 1.1 * reach / np.sin(0.5 * FIELD_OF_VIEW), target=target, up=up)
+    return Viewpoint(position=target + away * 0.97 * reach / np.sin(0.5 * FIELD_OF_VIEW), target=target, up=up)
 
 
 def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
@@ -78,7 +78,7 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
         overrides={at.INSCRIBED: rrb.EntityBehavior(visible=False)},
     )
     tabs: list[rrb.View | rrb.Container] = [scene]
-    if contents.has_walk:
+    if contents.has_camera:
         tabs.append(
             rrb.Spatial3DView(
                 origin=at.CASE,
@@ -86,7 +86,6 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
                 contents=[
                     f"{at.CASE}/anatomy/**",
                     f"{at.CASE}/path/**",
-                    at.CENTERLINE,
                     at.WALK,
                     at.WALK_CAMERA,
                     f"- {at.CAPS}/labels",
@@ -94,6 +93,7 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
                 background=rrb.Background(color=BACKGROUND),
                 line_grid=False,
                 eye_controls=rrb.EyeControls3D(tracking_entity=at.WALK_CAMERA),
+                overrides={at.WALL: rr.Mesh3D.from_fields(albedo_factor=(*at.WALL_COLOR, 255))},
             )
         )
     if contents.has_ct:
@@ -119,8 +119,8 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
         _bars(FlagKind.CLEARANCE, f"Clearance, mm over arc length in mm (limit {limits.clearance_min:g})"),
         _bars(FlagKind.CURVATURE, f"Curvature, 1/mm over arc length in mm (limit {limits.curvature_max:g})"),
         rrb.Tabs(
-            _series(at.CONVERGENCE, "Convergence"),
-            _series(at.COUNTS, "Features per iteration"),
+            _series(at.CONVERGENCE, "Convergence: curvature / limit (red), clearance / limit (orange)"),
+            _series(at.COUNTS, "Features: all (yellow), moved (blue), added (green)"),
             active_tab=0,
         ),
     ]
@@ -135,7 +135,7 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Horizontal(
             space,
-            rrb.Vertical(*plots, rrb.Tabs(*words, active_tab=0), row_shares=[3, 3, 2.4, 3.6]),
+            rrb.Vertical(*plots, rrb.Tabs(*words, active_tab=0), row_shares=[3, 3, 2.5, 4.2]),
             column_shares=[5, 4],
         ),
         rrb.TopPanel(state="collapsed"),
@@ -158,8 +158,9 @@ def _bars(kind: FlagKind, name: str) -> rrb.BarChartView:
 
 
 def _series(origin: str, name: str) -> rrb.TimeSeriesView:
+    # The name tells the colours: a legend would hide the last iterations, which matter most.
     return rrb.TimeSeriesView(
-        origin=origin, name=name, plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop), axis_y=rrb.ScalarAxis(zoom_lock=False)
+        origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=rrb.ScalarAxis(zoom_lock=False)
     )
 
 

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import ArrayLike
 
 from segmentation.arrays import BoolArray, FloatArray
 from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind, Limits, PlanStep
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.sink import Sink
 
-LIGHT_SPACING_MM = 1.0
+LIGHT_SPACING_MM = 2.0
 CURVE_SPACING_MM = 0.5
 FLAG_RADIUS = {FlagKind.CURVATURE: 3.6, FlagKind.CLEARANCE: 5.2}
 LABELLED = (FeatureKind.START, FeatureKind.GOAL)
@@ -32,6 +33,11 @@ class Track:
     def values(self, kind: FlagKind) -> FloatArray:
         """The quantity that a limit of this kind bounds."""
         return self.curvature if kind is FlagKind.CURVATURE else self.clearance
+
+    def at(self, arc_length: ArrayLike) -> FloatArray:
+        """Points at (k,) arc lengths in mm, interpolated: (k, 3)."""
+        s = np.asarray(arc_length, dtype=float)
+        return np.column_stack([np.interp(s, self.arc_length, self.points[:, k]) for k in range(3)])
 
     def tightest(self) -> int:
         """Index of the least clearance."""
@@ -67,17 +73,17 @@ def log_legend(sink: Sink, limits: Limits) -> None:
     if limits.clearance_min > 0.0:
         sink.log(
             f"{at.CONVERGENCE}/clearance",
-            rr.SeriesLines(names="least clearance / limit", colors=at.FLAG_COLORS[FlagKind.CLEARANCE], widths=2.0),
+            rr.SeriesLines(names="clearance / limit", colors=at.FLAG_COLORS[FlagKind.CLEARANCE]),
             static=True,
         )
     sink.log(
         f"{at.CONVERGENCE}/curvature",
-        rr.SeriesLines(names="largest curvature / limit", colors=at.FLAG_COLORS[FlagKind.CURVATURE], widths=2.0),
+        rr.SeriesLines(names="curvature / limit", colors=at.FLAG_COLORS[FlagKind.CURVATURE]),
         static=True,
     )
-    sink.log(f"{at.CONVERGENCE}/limit", rr.SeriesLines(names="limit", colors=at.LIMIT[:3], widths=1.0), static=True)
+    sink.log(f"{at.CONVERGENCE}/limit", rr.SeriesLines(names="limit", colors=at.LIMIT[:3]), static=True)
     for name, color in (("features", at.PATH), ("moved", at.CENTERLINE_COLOR), ("added", at.OK)):
-        sink.log(f"{at.COUNTS}/{name}", rr.SeriesLines(names=name, colors=color, widths=2.0), static=True)
+        sink.log(f"{at.COUNTS}/{name}", rr.SeriesLines(names=name, colors=color), static=True)
 
 
 def log_step(sink: Sink, step: PlanStep, limits: Limits, *, light: bool) -> None:
@@ -90,13 +96,9 @@ def log_step(sink: Sink, step: PlanStep, limits: Limits, *, light: bool) -> None
     sink.log(
         at.FACTS,
         rr.AnyValues(
-            index=step.index,
-            feature_count=len(step.features),
             curvature_max_per_mm=float(track.curvature.max()),
             clearance_min_mm=float(track.clearance.min()),
             length_mm=float(track.arc_length[-1]),
-            moved=step.moved,
-            added=step.added,
         ),
     )
     log_track(sink, track, limits, light=light)
@@ -109,15 +111,16 @@ def log_track(sink: Sink, track: Track, limits: Limits, *, light: bool) -> None:
     """Curve in 3D, and curvature and clearance over arc length beside their limits."""
     drawn = track.thinned(LIGHT_SPACING_MM if light else CURVE_SPACING_MM)
     sink.log(at.CURVE, rr.LineStrips3D([drawn.points], colors=at.PATH, radii=rr.Radius.ui_points(2.0)))
-    bars = drawn if light else track
-    widths = np.diff(bars.arc_length, append=bars.arc_length[-1])
-    widths[-1] = widths[-2] if len(widths) > 1 else 0.25
+    bars, number = (drawn, np.float32) if light else (track, np.float64)
+    # A little overlap, or the viewer leaves dark seams between bars that are two pixels wide.
+    widths = 1.15 * np.diff(bars.arc_length, append=2.0 * bars.arc_length[-1] - bars.arc_length[-2])
     for kind in FlagKind:
-        values, broken = bars.values(kind), bars.broken(kind, limits)
+        values, broken = bars.values(kind).astype(number), bars.broken(kind, limits)
         for part, chosen, color in (("ok", ~broken, at.OK), ("flagged", broken, at.FLAG_COLORS[kind])):
-            sink.log(
+            sink.log_some(
                 at.profile_path(kind, part),
-                rr.BarChart(values[chosen], abscissa=bars.arc_length[chosen], widths=widths[chosen], color=color),
+                int(chosen.sum()),
+                rr.BarChart(values[chosen], abscissa=bars.arc_length[chosen].astype(number), widths=widths[chosen], color=color),
             )
         limit = limits.curvature_max if kind is FlagKind.CURVATURE else limits.clearance_min
         sink.log(
@@ -127,18 +130,17 @@ def log_track(sink: Sink, track: Track, limits: Limits, *, light: bool) -> None:
 
 
 def log_flagged(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval]) -> None:
-    """Flagged stretches in 3D, red for curvature and orange for clearance, with their numbers."""
+    """Flagged stretches in 3D, red for curvature and orange for clearance, each with its worst place and value."""
     for kind in FlagKind:
         mine = [flag for flag in flagged if flag.kind is kind]
         strips = [_stretch(track, flag.start, flag.end) for flag in mine]
-        sink.log(
+        sink.log_some(
             at.flagged_path(kind),
+            len(mine),
             rr.LineStrips3D(
                 strips,
                 colors=at.FLAG_COLORS[kind],
                 radii=rr.Radius.ui_points(FLAG_RADIUS[kind]),
-                labels=[flag_label(flag) for flag in mine],
-                show_labels=True,
             ),
             rr.AnyValues(
                 start_mm=np.array([flag.start for flag in mine], dtype=float),
@@ -147,14 +149,26 @@ def log_flagged(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval]) ->
                 worst_at_mm=np.array([flag.worst_at for flag in mine], dtype=float),
             ),
         )
+        sink.log_some(
+            f"{at.flagged_path(kind)}/worst",
+            len(mine),
+            rr.Points3D(
+                track.at([flag.worst_at for flag in mine]),
+                colors=at.FLAG_COLORS[kind],
+                radii=rr.Radius.ui_points(FLAG_RADIUS[kind] + 1.5),
+                labels=[worst_label(flag) for flag in mine],
+                show_labels=True,
+            ),
+        )
 
 
 def log_features(sink: Sink, features: Sequence[Feature]) -> None:
     """Features by kind; only start and goal show their names until the others are asked for."""
     for kind in FeatureKind:
         mine = [feature for feature in features if feature.kind is kind]
-        sink.log(
+        sink.log_some(
             at.feature_path(kind),
+            len(mine),
             rr.Points3D(
                 [feature.point for feature in mine],
                 colors=at.FEATURE_COLORS[kind],
@@ -176,8 +190,12 @@ def log_features(sink: Sink, features: Sequence[Feature]) -> None:
 
 def flag_label(flag: FlaggedInterval) -> str:
     """One flagged interval in words."""
-    worst = f"{flag.worst:.3f} 1/mm" if flag.kind is FlagKind.CURVATURE else f"{flag.worst:.2f} mm"
-    return f"{flag.kind.value} {worst} at {flag.start:.1f} to {flag.end:.1f} mm"
+    return f"{worst_label(flag)} between {flag.start:.1f} and {flag.end:.1f} mm"
+
+
+def worst_label(flag: FlaggedInterval) -> str:
+    """The worst value of a flagged interval in words."""
+    return f"{flag.kind.value} " + (f"{flag.worst:.3f} 1/mm" if flag.kind is FlagKind.CURVATURE else f"{flag.worst:.2f} mm")
 
 
 def result_track(path: Mapping[str, Any]) -> Track:
@@ -224,5 +242,4 @@ def _log_convergence(sink: Sink, step: PlanStep, track: Track, limits: Limits) -
 def _stretch(track: Track, start: float, end: float) -> FloatArray:
     """Points of the path from `start` to `end` mm, both interpolated."""
     inner = (track.arc_length > start) & (track.arc_length < end)
-    s = np.concatenate([[start], track.arc_length[inner], [end]])
-    return np.column_stack([np.interp(s, track.arc_length, track.points[:, k]) for k in range(3)])
+    return track.at(np.concatenate([[start], track.arc_length[inner], [end]]))

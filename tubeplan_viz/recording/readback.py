@@ -35,7 +35,8 @@ class RecordedIteration:
     flagged_samples : mapping of FlagKind to (n,) bool array
         Which samples are drawn as flagged.
     facts : mapping of str to float
-        ``feature_count``, ``curvature_max_per_mm``, ``clearance_min_mm``, ``length_mm``, ``moved``, ``added``.
+        ``curvature_max_per_mm``, ``clearance_min_mm`` and ``length_mm``, exact, and the counts ``features``, ``moved``
+        and ``added``.
     convergence : mapping of str to float
         The points of the convergence curves: ``curvature``, ``clearance`` (over their limits) and ``limit``.
     """
@@ -117,7 +118,7 @@ def read_recording(path: Path) -> RecordedRun:
     ticks = np.array(sorted(walk), dtype=np.int64)
     summaries = table.rows(at.SUMMARY, at.ITERATION)
     return RecordedRun(
-        case={name: value[0] for name, value in table.static("/__properties/case").items() if value},
+        case={name: value[0] for name, value in table.static(PROPERTIES).items() if value},
         entities=tuple(sorted({chunk.entity_path for chunk in chunks})),
         timelines=timelines,
         iterations=tuple(_iteration(table, index) for index in indices),
@@ -128,11 +129,15 @@ def read_recording(path: Path) -> RecordedRun:
     )
 
 
+PROPERTIES = "/__properties/case"
+
+
 class _Table:
     """The chunks of a file as rows: entity, timeline, tick -> columns; later rows replace earlier ones."""
 
     def __init__(self, chunks: list[Any]) -> None:
         self._rows: dict[str, list[tuple[bytes, dict[str, int], dict[str, Any]]]] = {}
+        self._joined: dict[tuple[str, str], dict[int, dict[str, Any]]] = {}
         for chunk in chunks:
             batch = chunk.to_record_batch()
             names = [name for name in batch.schema.names if name not in chunk.timeline_names]
@@ -148,11 +153,12 @@ class _Table:
 
     def rows(self, entity: str, timeline: str) -> dict[int, dict[str, Any]]:
         """Columns by tick; the columns of rows at the same tick are joined."""
-        found: dict[int, dict[str, Any]] = {}
-        for _, ticks, values in self._rows.get(entity, ()):
-            if timeline in ticks:
-                found.setdefault(ticks[timeline], {}).update({name: value.as_py() for name, value in values.items()})
-        return found
+        if (entity, timeline) not in self._joined:
+            found = self._joined[entity, timeline] = {}
+            for _, ticks, values in self._rows.get(entity, ()):
+                if timeline in ticks:
+                    found.setdefault(ticks[timeline], {}).update({name: value.as_py() for name, value in values.items()})
+        return self._joined[entity, timeline]
 
     def static(self, entity: str) -> dict[str, Any]:
         """Columns that hold for all times."""
@@ -172,7 +178,9 @@ def _iteration(table: _Table, index: int) -> RecordedIteration:
     def row(entity: str) -> dict[str, Any]:
         return table.rows(entity, at.ITERATION).get(index, {})
 
-    facts = {name: value[0] for name, value in row(at.FACTS).items()}
+    facts = {name: float(value[0]) for name, value in row(at.FACTS).items()}
+    for name in ("features", "moved", "added"):
+        facts[name] = float(row(f"{at.COUNTS}/{name}")["Scalars:scalars"][0])
     spline = row(at.SPLINE)
     profiles = {kind: _profile(row, kind) for kind in FlagKind}
     arc_length, curvature, curvature_flagged = profiles[FlagKind.CURVATURE]
@@ -191,7 +199,7 @@ def _iteration(table: _Table, index: int) -> RecordedIteration:
         clearance=clearance,
         flagged=tuple(flag for kind in FlagKind for flag in _flags(row(at.flagged_path(kind)), kind)),
         flagged_samples={FlagKind.CURVATURE: curvature_flagged, FlagKind.CLEARANCE: clearance_flagged},
-        facts={name: float(value) for name, value in facts.items() if name != "index"},
+        facts=facts,
         convergence={name: float(value["Scalars:scalars"][0]) for name, value in convergence.items() if value},
     )
 
@@ -199,14 +207,16 @@ def _iteration(table: _Table, index: int) -> RecordedIteration:
 def _profile(row: Any, kind: FlagKind) -> tuple[FloatArray, FloatArray, Any]:
     """Arc lengths, values and flags of one plot, its two bar series merged in order of arc length."""
     parts = [row(at.profile_path(kind, part)) for part in ("ok", "flagged")]
-    s = [_tensor(part["BarChart:abscissa"]) for part in parts]
-    values = [_tensor(part["BarChart:values"]) for part in parts]
+    s = [_tensor(part.get("BarChart:abscissa")) for part in parts]
+    values = [_tensor(part.get("BarChart:values")) for part in parts]
     flags = np.concatenate([np.zeros(len(s[0]), dtype=bool), np.ones(len(s[1]), dtype=bool)])
     order = np.argsort(np.concatenate(s), kind="stable")
     return np.concatenate(s)[order], np.concatenate(values)[order], flags[order]
 
 
 def _tensor(cell: Any) -> FloatArray:
+    if cell is None:
+        return np.empty(0)
     buffer = cell[0]["buffer"]
     data = next(iter(buffer.values())) if isinstance(buffer, dict) else buffer
     return np.asarray(data if data is not None else [], dtype=float)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -50,30 +49,32 @@ class Sink:
     def __init__(self, path: Path, *, case_id: str, connect: str | None) -> None:
         self.path = path
         self.warnings: tuple[str, ...] = ()
+        self._timeline = ""
+        self._filled: set[tuple[str, str]] = set()
+        viewer = None if connect is None else viewer_address(connect)
+        self._recording_id = f"{re.sub('[^A-Za-z0-9_-]+', '-', case_id)}-{uuid.uuid4().hex[:12]}"
         self._partial = path.with_name(f".{path.stem}.partial-{uuid.uuid4().hex[:8]}.rrd")
         try:
-            self._file = os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            self._file: int | None = os.open(self._partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         except OSError as error:
             raise _cannot_write(path, error) from error
         rr.set_strict_mode(True)
-        recording_id = f"{re.sub('[^A-Za-z0-9_-]+', '-', case_id)}-{uuid.uuid4().hex[:12]}"
-        memory = _stream(recording_id)
+        memory = _stream(self._recording_id)
         self._bytes = memory.binary_stream()
         self._streams = [memory]
-        self._live = self._open_live(connect, recording_id) if connect is not None else None
+        self._live = None if viewer is None else self._open_live(*viewer)
         if self._live is not None:
             self._streams.append(self._live)
         for stream in self._streams:
             stream.send_recording_name(case_id)
 
-    def _open_live(self, connect: str, recording_id: str) -> Any:
-        host, port = viewer_address(connect)
+    def _open_live(self, host: str, port: int) -> Any:
         try:
             socket.create_connection((host, port), timeout=PROBE_TIMEOUT_S).close()
         except OSError:
             self.warnings += (f"no viewer listens at {host}:{port}; the recording goes to the file alone",)
             return None
-        stream = _stream(recording_id)
+        stream = _stream(self._recording_id)
         stream.connect_grpc(f"rerun+http://{host}:{port}/proxy")
         return stream
 
@@ -82,6 +83,12 @@ class Sink:
         for stream in self._streams:
             stream.log(entity, *archetypes, static=static)
 
+    def log_some(self, entity: str, count: int, *archetypes: Any) -> None:
+        """Log archetypes of `count` things; an entity that was always empty is left out of the file altogether."""
+        if count or (self._timeline, entity) in self._filled:
+            self._filled.add((self._timeline, entity))
+            self.log(entity, *archetypes)
+
     def columns(self, entity: str, timeline: str, ticks: Any, columns: Any) -> None:
         """Log one row per tick of a sequence timeline at once."""
         for stream in self._streams:
@@ -89,6 +96,7 @@ class Sink:
 
     def at(self, timeline: str, tick: int) -> None:
         """What follows belongs to this tick of this timeline alone."""
+        self._timeline = timeline
         for stream in self._streams:
             stream.reset_time()
             stream.set_time(timeline, sequence=tick)
@@ -112,7 +120,7 @@ class Sink:
             If the file cannot be written, for instance on a full disk.
         """
         data = self._bytes.read(flush=True)
-        if data:
+        if data and self._file is not None:
             self._write(self._file, data)
 
     def publish(self, blueprint: rrb.Blueprint) -> None:
@@ -123,34 +131,42 @@ class Sink:
         RecordingError
             If it cannot be written or does not read back.
         """
-        self._disconnect()
         self.flush()
-        os.close(self._file)
-        with tempfile.TemporaryDirectory(prefix="tubeplan-") as scratch:
-            layout = Path(scratch) / "layout.rbl"
-            blueprint.save(APPLICATION, str(layout))
-            packed = _viewer_tool(scratch, "rrd", "optimize", "--profile", "live", str(layout), str(self._partial))
+        self._disconnect()
+        try:
+            self._close()
+            packed = _viewer_tool("optimize", "--profile", "live", data=self._layout(blueprint) + self._partial.read_bytes())
+            _viewer_tool("verify", data=packed)
             self._file = os.open(self._partial, os.O_WRONLY | os.O_TRUNC)
             self._write(self._file, packed)
             os.fsync(self._file)
-            os.close(self._file)
-            _viewer_tool(scratch, "rrd", "verify", str(self._partial))
-        os.replace(self._partial, self.path)
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+            self._close()
+            if self._partial.read_bytes() != packed:
+                raise RecordingError(f"{self.path.name}: what was written does not read back; check the disk and plan again")
+            os.replace(self._partial, self.path)
+            _sync_folder(self.path.parent)
+        except OSError as error:
+            raise _cannot_write(self.path, error) from error
 
     def discard(self) -> None:
         """Leave nothing behind."""
         self._disconnect()
-        try:
-            os.close(self._file)
-        except OSError as error:
-            if error.errno != errno.EBADF:
-                raise
+        self._close()
         self._partial.unlink(missing_ok=True)
+
+    def _layout(self, blueprint: rrb.Blueprint) -> bytes:
+        """The blueprint as the beginning of a recording."""
+        stream = _stream(self._recording_id)
+        memory = stream.binary_stream()
+        stream.send_blueprint(blueprint, make_active=True, make_default=True)
+        data = memory.read(flush=True)
+        stream.disconnect()
+        return data or b""
+
+    def _close(self) -> None:
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
 
     def _disconnect(self) -> None:
         if self._live is not None:
@@ -158,10 +174,9 @@ class Sink:
                 self._live.flush(timeout_sec=LIVE_FLUSH_TIMEOUT_S)
             except (RuntimeError, ValueError):
                 self.warnings += ("the live viewer went away; the recording in the file is whole",)
-            self._live.disconnect()
-            self._live = None
-        for stream in self._streams[:1]:
-            stream.flush()
+        for stream in self._streams:
+            stream.disconnect()
+        self._streams, self._live = [], None
 
     def _write(self, file: int, data: bytes) -> None:
         view = memoryview(data)
@@ -202,20 +217,31 @@ def _stream(recording_id: str) -> Any:
     return stream
 
 
-def _viewer_tool(scratch: str, *arguments: str) -> bytes:
-    """Run the viewer's own binary with a home of its own: no usage statistics, nothing left in the user's home."""
-    home = Path(scratch) / ".config" / "rerun"
-    home.mkdir(parents=True, exist_ok=True)
-    (home / "analytics.json").write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}))
-    environment = dict(os.environ, HOME=scratch, XDG_CONFIG_HOME=str(Path(scratch) / ".config"), NO_COLOR="1")
-    run = subprocess.run([sys.executable, "-m", "rerun_cli", *arguments], capture_output=True, env=environment, check=False)
+def _viewer_tool(*arguments: str, data: bytes) -> bytes:
+    """Run ``rerun rrd`` on bytes, with a home of its own: no usage statistics, nothing left in the user's home."""
+    with tempfile.TemporaryDirectory(prefix="tubeplan-") as home:
+        settings = Path(home) / ".config" / "rerun"
+        settings.mkdir(parents=True)
+        (settings / "analytics.json").write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}))
+        environment = dict(os.environ, HOME=home, XDG_CONFIG_HOME=str(settings.parent), NO_COLOR="1")
+        command = [sys.executable, "-m", "rerun_cli", "rrd", *arguments]
+        run = subprocess.run(command, input=data, capture_output=True, env=environment, check=False)
     if run.returncode:
         last = run.stderr.decode(errors="replace").strip().splitlines()[-1:]
-        text = re.sub(r"(/[^\s\":]+)+/", "", last[0]) if last else "no message"
         raise RecordingError(
-            f"the recording does not pass `rerun {' '.join(arguments[:2])}`: {text}; plan again or use --no-recording"
+            f"the recording does not pass `rerun rrd {arguments[0]}` ({last[0] if last else 'no message'}); "
+            "plan again, or leave it out with --no-recording"
         )
     return run.stdout
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make the new name itself durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def _cannot_write(path: Path, error: OSError) -> RecordingError:

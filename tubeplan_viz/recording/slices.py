@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -129,4 +130,4 @@ def _runs(flags: Any) -> list[tuple[int, int]]:
     """First and last index of each run of equal values."""
     borders = np.flatnonzero(np.diff(flags.astype(np.int8))) + 1
     edges = [0, *borders.tolist(), len(flags)]
-    return [(a, b - 1) for a, b in zip(edges, edges[1:], strict=False)]
+    return [(a, b - 1) for a, b in itertools.pairwise(edges)]

@@ -21,12 +21,14 @@ from tubeplan_viz.recording import entities as at
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module,
 # so that commands which record nothing start at once.
 if TYPE_CHECKING:
-    from tubeplan_viz.recording.blueprint import Contents
+    from tubeplan_viz.recording.blueprint import Contents, Viewpoint
+    from tubeplan_viz.recording.plans import Track
     from tubeplan_viz.recording.sink import Sink
     from tubeplan_viz.recording.slices import Slicer
 
 LEVELS = ("INFO", "WARN", "ERROR")
 WALK_SLICE_STEP_MM = 4.0
+OVERLAY_SPACING_MM = 1.0
 
 
 class Recording:
@@ -81,7 +83,7 @@ class Recording:
             Address of a running viewer that is to see everything at once: ``host:port``
             or ``rerun+http://host:port/proxy``. Where none listens, `warnings` says so.
         light : bool
-            A small file for recorded examples: coarse mesh, no CT, plots at 1 mm.
+            A small file for recorded examples: coarse mesh, no CT, plots every 2 mm and the walk every 5 mm in single precision.
 
         Raises
         ------
@@ -96,24 +98,26 @@ class Recording:
 
         sink = Sink(path, case_id=case_id, connect=connect)
         contents = Contents(limits=limits, frame=frame)
-        sink.property(
-            "case",
-            rr.AnyValues(
-                case_id=case_id,
-                planner=planner,
-                method=method,
-                frame=frame,
-                units="mm",
-                curvature_max_per_mm=limits.curvature_max,
-                clearance_min_mm=limits.clearance_min,
-                notice=at.NOTICE,
-                arc_length_ticks_per_mm=at.TICKS_PER_MM,
-            ),
+        case = rr.AnyValues(
+            case_id=case_id,
+            planner=planner,
+            method=method,
+            frame=frame,
+            units="mm",
+            curvature_max_per_mm=limits.curvature_max,
+            clearance_min_mm=limits.clearance_min,
+            notice=at.NOTICE,
+            arc_length_ticks_per_mm=at.TICKS_PER_MM,
         )
-        sink.show(blueprint(contents, None))
-        sink.log(at.CASE, scene_axes(frame), static=True)
-        log_legend(sink, limits)
-        sink.flush()
+        try:
+            sink.property("case", case)
+            sink.show(blueprint(contents, None))
+            sink.log(at.CASE, scene_axes(frame), static=True)
+            log_legend(sink, limits)
+            sink.flush()
+        except BaseException:
+            sink.discard()
+            raise
         return cls(sink, contents, case_id=case_id, light=light)
 
     @property
@@ -149,7 +153,7 @@ class Recording:
         """Centerline and its inscribed spheres."""
         from tubeplan_viz.recording import anatomy
 
-        anatomy.log_centerline(self._sink, centerline)
+        anatomy.log_centerline(self._sink, centerline, light=self._light)
         self._seen = centerline.points
         self._show()
 
@@ -203,7 +207,8 @@ class Recording:
         for decision in step.decisions:
             self._sink.log(at.DECISIONS, rr.TextLog(decision, level="INFO"))
         worst = ", ".join(plans.flag_label(flag) for flag in step.flagged)
-        line = f"iteration {step.index}: {len(step.features)} features, {step.moved} moved, {step.added} added; {worst or 'both limits hold'}"
+        counts = f"{len(step.features)} features, {step.moved} moved, {step.added} added"
+        line = f"iteration {step.index}: {counts}; {worst or 'both limits hold'}"
         self._sink.log(at.DECISIONS, rr.TextLog(line, level="WARN" if step.flagged else "INFO"))
         if self._seen is None or step.index == 0:
             self._seen = profile.points
@@ -230,12 +235,12 @@ class Recording:
         if path is not None and len(path["s_mm"]) > 1:
             track = plans.result_track(path)
             self._seen = track.points
-            self._contents = replace(self._contents, has_walk=True)
+            self._contents = replace(self._contents, has_camera=not self._light)
             self._sink.at(at.ARC_LENGTH, 0)
             plans.log_track(self._sink, track, limits, light=self._light)
             plans.log_flagged(self._sink, track, flagged)
             plans.log_features(self._sink, plans.result_features(result.get("feature_points", ()), float(track.arc_length[-1])))
-            log_walk(self._sink, track, flagged, limits)
+            log_walk(self._sink, track, flagged, limits, light=self._light)
             self._walk_slices(track)
         self._show()
         self._sink.flush()
@@ -267,7 +272,7 @@ class Recording:
         else:
             self.abort()
 
-    def _log_slices(self, track: Any, center: FloatArray) -> None:
+    def _log_slices(self, track: Track, center: FloatArray) -> None:
         """Overlay of the three planes through `center`; the pictures only where the planes have moved."""
         from tubeplan_viz.recording.slices import REDRAW_MM, log_overlay, log_planes
 
@@ -276,16 +281,18 @@ class Recording:
         if self._center is None or np.linalg.norm(center - self._center) > REDRAW_MM:
             log_planes(self._sink, self._slicer, center)
             self._center = center
-        log_overlay(self._sink, self._slicer, self._center, track.points, self._contents.limits.clearance_min)
+        log_overlay(
+            self._sink, self._slicer, self._center, track.thinned(OVERLAY_SPACING_MM).points, self._contents.limits.clearance_min
+        )
 
-    def _walk_slices(self, track: Any) -> None:
+    def _walk_slices(self, track: Track) -> None:
         length = float(track.arc_length[-1])
         for s in np.unique(np.append(np.arange(0.0, length, WALK_SLICE_STEP_MM), length)):
             self._sink.at(at.ARC_LENGTH, int(s * at.TICKS_PER_MM))
             self._center = None
-            self._log_slices(track, np.array([np.interp(s, track.arc_length, track.points[:, k]) for k in range(3)]))
+            self._log_slices(track, track.at([s])[0])
 
-    def _eye(self) -> Any:
+    def _eye(self) -> Viewpoint | None:
         from tubeplan_viz.recording.blueprint import viewpoint
 
         if self._seen is None:

@@ -13,15 +13,6 @@ VERDICTS = {
     "flagged": "Planned, with stretches that break a limit",
     "infeasible": "No path",
 }
-METRICS = {
-    "length_mm": ("length", "{:.1f} mm"),
-    "curvature_max_per_mm": ("largest curvature", "{:.4f} 1/mm"),
-    "curvature_mean_per_mm": ("mean curvature", "{:.4f} 1/mm"),
-    "clearance_min_mm": ("least clearance", "{:.2f} mm"),
-    "clearance_mean_mm": ("mean clearance", "{:.2f} mm"),
-    "centerline_distance_mean_mm": ("mean distance to the centerline", "{:.2f} mm"),
-    "tip_error_mm": ("tip error", "{:.2f} mm"),
-}
 
 
 def iteration_text(
@@ -38,8 +29,8 @@ def iteration_text(
     verdict = "both limits hold" if not flagged else f"{len(flagged)} flagged {'interval' if len(flagged) == 1 else 'intervals'}"
     return "\n\n".join(
         [
-            f"# Iteration {index}: {verdict}",
-            _table([(_LENGTH, f"{length:.1f} mm"), ("features", str(features))], curvature_max, clearance_min, limits),
+            f"## Iteration {index}: {verdict}",
+            _table([("path length", f"{length:.1f} mm"), ("features", str(features))], curvature_max, clearance_min, limits),
             flag_table(flagged),
             f"*{at.NOTICE}*",
         ]
@@ -47,25 +38,36 @@ def iteration_text(
 
 
 def case_text(case_id: str, result: Mapping[str, Any], flagged: Sequence[FlaggedInterval], limits: Limits) -> str:
-    """Summary of the finished case from result.json."""
-    planner = result["planner"]
+    """Summary of the finished case from result.json; a row whose metric does not apply is left out."""
+    planner, metrics, proof = result["planner"], result.get("metrics", {}), result.get("certificate") or {}
     rows = [
-        (_LENGTH if key == "length_mm" else label, form.format(result["metrics"][key]))
-        for key, (label, form) in METRICS.items()
-        if key in result.get("metrics", {})
+        _row("path length", "{:.1f} mm", metrics.get("length_mm")),
+        _row(
+            "largest curvature",
+            "{:.4f} 1/mm",
+            metrics.get("curvature_max_per_mm"),
+            limits.curvature_max,
+            proof.get("curvature_upper_bound_per_mm"),
+        ),
+        _row(
+            "least clearance",
+            "{:.2f} mm",
+            metrics.get("clearance_min_mm"),
+            limits.clearance_min,
+            proof.get("clearance_lower_bound_mm"),
+        ),
+        _row("mean curvature", "{:.4f} 1/mm", metrics.get("curvature_mean_per_mm")),
+        _row("mean clearance", "{:.2f} mm", metrics.get("clearance_mean_mm")),
+        _row("mean distance to the centerline", "{:.2f} mm", metrics.get("centerline_distance_mean_mm")),
+        _row("tip error", "{:.2f} mm", metrics.get("tip_error_mm")),
     ]
-    rows += [("curvature limit", f"{limits.curvature_max:.4f} 1/mm"), ("clearance limit", f"{limits.clearance_min:.2f} mm")]
-    certificate = result.get("certificate")
-    if certificate:
-        rows.append(("curvature is proved below", f"{certificate['curvature_upper_bound_per_mm']:.4f} 1/mm"))
-        rows.append(("clearance is proved above", f"{certificate['clearance_lower_bound_mm']:.2f} mm"))
-    parts = [f"# {VERDICTS[result['status']]}"]
+    parts = [f"## {VERDICTS[result['status']]}"]
     if result.get("reason"):
         parts.append(str(result["reason"]))
-    parts.append(
-        f"Case **{case_id}**, planner {planner['name']} ({planner['method']}), {len(result.get('iterations', ()))} iterations"
-    )
-    parts.append("| | |\n|--|--|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows))
+    states = len(result.get("iterations", ()))
+    parts.append(f"Case **{case_id}**, planner {planner['name']} ({planner['method']}), {states} recorded states")
+    if any(rows):
+        parts.append("| | found | limit | proved bound |\n|--|--|--|--|\n" + "\n".join(row for row in rows if row))
     return "\n\n".join([*parts, flag_table(flagged), f"*{at.NOTICE}*"])
 
 
@@ -81,7 +83,7 @@ def place_text(
     bend = f"{1.0 / curvature:.1f} mm" if curvature > 1e-4 else "straight"
     return "\n\n".join(
         [
-            f"# {s:.1f} mm of {length:.1f} mm: {verdict}",
+            f"## {s:.1f} mm of {length:.1f} mm: {verdict}",
             _table(
                 [("bend radius", bend), ("room beyond the instrument", f"{clearance - limits.clearance_min:+.2f} mm")],
                 curvature,
@@ -106,11 +108,16 @@ def flag_table(flagged: Sequence[FlaggedInterval]) -> str:
     return "| flagged | from mm | to mm | worst | at mm |\n|--|--|--|--|--|\n" + "\n".join(rows)
 
 
-_LENGTH = "path length"
+def _row(name: str, form: str, found: float | None, limit: float | None = None, bound: float | None = None) -> str:
+    """One line of the case table, empty without a value."""
+    if found is None:
+        return ""
+    cells = [form.format(value) if value is not None else "" for value in (found, limit, bound)]
+    return f"| {name} | " + " | ".join(cells) + " |"
 
 
 def _table(rows: Sequence[tuple[str, str]], curvature: float, clearance: float, limits: Limits) -> str:
     lines = [f"| {name} | {value} | |" for name, value in rows]
-    lines.append(f"| curvature | {curvature:.4f} 1/mm | limit {limits.curvature_max:.4f} |")
-    lines.append(f"| clearance | {clearance:.2f} mm | limit {limits.clearance_min:.2f} |")
-    return "| | | |\n|--|--|--|\n" + "\n".join(lines)
+    lines.append(f"| curvature | {curvature:.4f} 1/mm | {limits.curvature_max:.4f} |")
+    lines.append(f"| clearance | {clearance:.2f} mm | {limits.clearance_min:.2f} |")
+    return "| | found | limit |\n|--|--|--|\n" + "\n".join(lines)
