@@ -55,16 +55,14 @@ def step_digits(step: float) -> int:
 
 def tag(_name: str, _text: str | None = None, **attributes: object) -> Markup:
     """One SVG element; ``class_`` and ``_`` in names are written ``class`` and ``-``."""
-    inside = Markup("").join(
-        Markup(' {}="{}"').format(key.rstrip("_").replace("_", "-"), _short(value)) for key, value in attributes.items()
-    )
-    if _text is None:
-        return Markup("<{}{}/>").format(_name, inside)
-    return Markup("<{}{}>{}</{}>").format(_name, inside, _text, _name)
+    inside = "".join(f' {key.rstrip("_").replace("_", "-")}="{_attribute(value)}"' for key, value in attributes.items())
+    return Markup(f"<{_name}{inside}/>" if _text is None else f"<{_name}{inside}>{escape(_text)}</{_name}>")
 
 
-def _short(value: object) -> object:
-    return f"{value:.1f}".removesuffix(".0") if isinstance(value, float) else value
+def _attribute(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.1f}".removesuffix(".0")
+    return str(value) if isinstance(value, int) else str(escape(value))
 
 
 @dataclass(frozen=True)
@@ -145,6 +143,7 @@ class Profile:
     label: str
     limit_label: str
     worst_label: str
+    short_limit_label: str = ""
     before_arc: FloatArray | None = None
     before: FloatArray | None = None
     with_axis: bool = False
@@ -190,7 +189,7 @@ def profile_chart(spec: Profile, width: Width) -> Markup:
         parts.append(tag("line", class_="limit", x1=x.start, x2=x.end, y1=level, y2=level))
     parts.append(tag("path", class_="after", d=trace(spec.arc, spec.values, x, y)))
     if spec.limit is not None:
-        parts.append(_limit_label(spec, x, y))
+        parts.append(_limit_label(spec, x, y, short=width.name != "wide"))
     parts += [tag("circle", class_=f"worst {spec.kind}", cx=x(f["worst_at_mm"]), cy=y(f["worst"]), r=4.0) for f in spec.flags]
     parts += _worst_label(spec, x, y)
     parts.append(
@@ -223,37 +222,50 @@ def _before(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
     return parts
 
 
-def _limit_label(spec: Profile, x: Axis, y: Axis) -> Markup:
-    """The limit in words at whichever end of its line the curve stays furthest away from it."""
+def _limit_label(spec: Profile, x: Axis, y: Axis, *, short: bool) -> Markup:
+    """The limit in words, where it covers least of curve, bands and the worst place's figure."""
     assert spec.limit is not None  # the caller asked
-    room = 6.2 * len(spec.limit_label) / (x.end - x.start) * x.high
+    words = spec.short_limit_label if short and spec.short_limit_label else spec.limit_label
+    room = 6.4 * len(words) + 8
     below = spec.kind == "clearance" and y(spec.limit) + 16 < y.start
     sign = -1.0 if below else 1.0
-    best: tuple[float, float] = (-math.inf, 0.0)
-    for start in np.linspace(0.0, max(x.high - room, 0.0), 24):
-        near = (spec.arc >= start) & (spec.arc <= start + room)
-        taken = float(np.max((spec.values[near] - spec.limit) * sign)) if near.any() else -math.inf
-        crowd = sum(start < f["to_mm"] and start + room > f["from_mm"] for f in spec.flags)
-        score = -max(taken, 0.0) / max(y.high - y.low, 1e-12) - 10.0 * crowd - start / x.high * 0.02
+    taken = _worst_place(spec, x, y)
+    best: tuple[float, float] = (-math.inf, x.start)
+    for start in np.linspace(x.start, max(x.end - room, x.start), 32):
+        low, high = (start - x.start) / (x.end - x.start) * x.high, (start + room - x.start) / (x.end - x.start) * x.high
+        near = (spec.arc >= low) & (spec.arc <= high)
+        over = float(np.max((spec.values[near] - spec.limit) * sign)) if near.any() else 0.0
+        crowd = sum(low < f["to_mm"] and high > f["from_mm"] for f in spec.flags)
+        hidden = taken is not None and start < taken[1] and start + room > taken[0]
+        score = -max(over, 0.0) / max(y.high - y.low, 1e-12) - 10.0 * crowd - 20.0 * hidden - (start - x.start) / (x.end - x.start) * 0.02
         best = max(best, (score, float(start)))
-    return tag("text", spec.limit_label, class_="limit-label", x=x(best[1]) + 4, y=y(spec.limit) + (14 if below else -6))
+    return tag("text", words, class_="limit-label", x=best[1] + 4, y=y(spec.limit) + (14 if below else -6))
+
+
+def _worst_place(spec: Profile, x: Axis, y: Axis) -> tuple[float, float, float, bool] | None:
+    """Left and right end of the worst place's figure, its height, and whether it stands left of its band."""
+    if not spec.flags:
+        return None
+    worst = (min if spec.kind == "clearance" else max)(spec.flags, key=lambda f: f["worst"])
+    room = 7.0 * len(spec.worst_label) + 10
+    at = x(worst["to_mm"]) + 8
+    turned = at + room > x.end
+    if turned:
+        at = x(worst["from_mm"]) - 8
+    if turned and at - room < x.start:  # the band is as wide as the chart
+        at, turned = x.start + 6, False
+    height = y(worst["worst"]) + (18 if spec.kind == "clearance" else -8)
+    return (at - room if turned else at, at if turned else at + room, min(max(height, y.end + 10), y.start - 4), turned)
 
 
 def _worst_label(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
     """The figure of the worst flagged place, beside its band on the side that has room."""
-    if not spec.flags:
+    place = _worst_place(spec, x, y)
+    if place is None:
         return []
-    worst = (min if spec.kind == "clearance" else max)(spec.flags, key=lambda f: f["worst"])
-    room = 7.0 * len(spec.worst_label) + 10
-    right = x(worst["to_mm"]) + 8
-    turned = right + room > x.end
-    at = x(worst["from_mm"]) - 8 if turned else right
-    if turned and at - room < x.start:  # the band is as wide as the chart
-        at, turned = x.start + 6, False
-    height = y(worst["worst"]) + (18 if spec.kind == "clearance" else -8)
-    height = min(max(height, y.end + 10), y.start - 4)
+    left, right, height, turned = place
     return [
-        tag("text", spec.worst_label, class_=f"worst-label {spec.kind}", x=at, y=height, text_anchor="end" if turned else "start")
+        tag("text", spec.worst_label, class_=f"worst-label {spec.kind}", x=right if turned else left, y=height, text_anchor="end" if turned else "start")
     ]
 
 

@@ -108,15 +108,26 @@ def reduce_volume(volume: Volume, points: FloatArray, windows: Sequence[Window])
     for axis in range(3):
         kept = np.repeat(kept, COARSE, axis=axis)
     where = np.argwhere(kept)
-    index = volume.to_index(low + where * step)
-    hu = map_coordinates(volume.voxels, index.T, output=np.float32, order=1, mode="constant", cval=-32768.0)
-    inside = np.all((index >= -0.5) & (index <= np.array(volume.voxels.shape) - 0.5), axis=1)
+    index = _index_of_grid(volume, low, step, where)
+    hu = map_coordinates(volume.voxels, index, output=np.float32, order=1, mode="constant", cval=-32768.0)
+    inside = np.all([(row >= -0.5) & (row <= size - 0.5) for row, size in zip(index, volume.voxels.shape, strict=True)], axis=0)
     bottom = min(w.centre - w.width / 2 for w in windows)
     hu_step = (max(w.centre + w.width / 2 for w in windows) - bottom) / (LEVELS - 1)
     level = np.clip(np.round((hu - bottom) / hu_step), 0, LEVELS - 1) + 1
     levels = np.zeros(kept.shape, np.uint8)
     levels[kept] = np.where(inside, level, 0).astype(np.uint8)
     return ReducedVolume(levels, low, step, bottom - hu_step, hu_step)
+
+
+def _index_of_grid(volume: Volume, low: FloatArray, step: float, where: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Indices [slice, row, column] as rows, (3, n), of grid places; single precision is a thousandth of a voxel."""
+    linear = (volume.lps_to_index[:3, :3] * step).astype(np.float32)
+    offset = volume.to_index(low).astype(np.float32)
+    columns = where.T.astype(np.float32)
+    out = np.empty_like(columns)
+    for k in range(3):
+        out[k] = columns[0] * linear[k, 0] + columns[1] * linear[k, 1] + columns[2] * linear[k, 2] + offset[k]
+    return out
 
 
 def cut(

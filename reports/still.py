@@ -135,7 +135,7 @@ def _labels(labels: Sequence[Label], place: object) -> list[Markup]:
     for side in ("left", "right"):
         mine = [label for label in chosen if (spots[id(label)][0] <= middle) == (side == "left")]
         mine.sort(key=lambda label: float(spots[id(label)][1]))
-        heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 12.0)
+        heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 66.0)
         for label, height in zip(mine, heights, strict=True):
             x, y = (float(v) for v in spots[id(label)])
             wide = 6.6 * len(label.text) + 12

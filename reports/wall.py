@@ -118,19 +118,18 @@ def rims(
     """
     angle = 2.0 * np.pi * np.arange(directions) / directions
     cosine, sine = np.cos(angle), np.sin(angle)
-    corners = surface.vertices[surface.wall_faces]  # (m, 3, 3)
-    centre = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+    faces = surface.wall_faces
+    vertices = surface.vertices
     out = np.full((len(points), directions), RIM_REACH_MM)
     for i, point in enumerate(points):
-        near = np.abs((centre - point) @ tangent[i]) <= reach
-        near &= np.einsum("ij,ij->i", centre - point, centre - point) < (RIM_REACH_MM + reach) ** 2
-        local = corners[near] - point
-        height = local @ tangent[i]  # (k, 3)
-        cut = (height.min(axis=1) < 0.0) & (height.max(axis=1) >= 0.0)
+        heights = (vertices - point) @ tangent[i]
+        above = heights >= 0.0
+        first = above[faces[:, 0]]
+        cut = (above[faces[:, 1]] != first) | (above[faces[:, 2]] != first)
         if not cut.any():
             continue
-        local, height = local[cut], height[cut]
+        local = vertices[faces[cut]] - point  # (k, 3, 3)
+        height = heights[faces[cut]]
         flat = np.stack([local @ normal[i], local @ binormal[i]], axis=2)  # (k, 3, 2)
         odd = _lone_corner(height)
         rows = np.arange(len(odd))
@@ -140,6 +139,10 @@ def rims(
             share = height[rows, odd] / (height[rows, odd] - height[rows, j])
             ends.append(flat[rows, odd] + share[:, None] * (flat[rows, j] - flat[rows, odd]))
         out[i] = np.minimum(out[i], _first_hits(ends[0], ends[1], cosine, sine))
+    # In the plane of an end the wall may just have ended: there the next place that has one stands in.
+    met = np.flatnonzero((out < RIM_REACH_MM).mean(axis=1) > 0.5)
+    if len(met):
+        out[: met[0]], out[met[-1] + 1 :] = out[met[0]], out[met[-1]]
     return out
 
 
@@ -157,7 +160,10 @@ def _first_hits(start: FloatArray, end: FloatArray, cosine: FloatArray, sine: Fl
     across1 = end[:, 1, None] * cosine - end[:, 0, None] * sine
     along0 = start[:, 0, None] * cosine + start[:, 1, None] * sine
     along1 = end[:, 0, None] * cosine + end[:, 1, None] * sine
-    crossed = (across0 < 0.0) != (across1 < 0.0)
-    share = np.divide(across0, across0 - across1, out=np.zeros_like(across0), where=crossed)
+    # A ray through a corner that two segments share must hit one of them in spite of rounding.
+    span = across0 - across1
+    sloped = np.abs(span) > 1e-12
+    share = np.divide(across0, span, out=np.full_like(across0, -1.0), where=sloped)
+    crossed = (share >= -1e-6) & (share <= 1.0 + 1e-6)
     distance = along0 + share * (along1 - along0)
     return np.where(crossed & (distance >= 0.0), distance, np.inf).min(axis=0)

@@ -131,16 +131,17 @@ def _profile(
     where = "; ".join(f"{printed(f['from_mm'], 1)} to {printed(f['to_mm'], 1)} mm" for f in flags[:10])
     if kind == "clearance":
         label = f"Clearance over arc length. Least {printed(value, 2)} mm at {printed(at, 1)} mm."
-        limit_label = "" if limit is None else f"least {printed(limit, 2)} mm"
+        limit_label = short = "" if limit is None else f"least {printed(limit, 2)} mm"
         worst = min((f["worst"] for f in flags), default=value)
         worst_label = f"{printed(worst, 2)} mm"
     else:
         label = f"Curvature over arc length. Largest {printed(value, 4)} 1/mm at {printed(at, 1)} mm."
         limit_label = "" if limit is None else f"at most {printed(limit, 3)} 1/mm (radius {printed(1 / limit, 1)} mm)"
+        short = limit_label.partition(" (")[0]
         worst = max((f["worst"] for f in flags), default=value)
         worst_label = f"radius {printed(1 / worst, 1)} mm" if worst > 0 else ""
     state = f" The limit is broken from {where}." if flags else " The limit holds all along." if limit is not None else ""
-    return {"label": label + state, "limit_label": limit_label, "worst_label": worst_label}
+    return {"label": label + state, "limit_label": limit_label, "short_limit_label": short, "worst_label": worst_label}
 
 
 def steps(source: Source) -> dict[str, Markup]:
@@ -257,6 +258,7 @@ class Place:
     title: str
     where: Phrase
     go: float
+    field: str
     cuts: tuple[Thumbnail, ...]
 
 
@@ -275,9 +277,14 @@ def critical_places(course: Course, source: Source, volume: Volume | None, windo
         )
     asked = source.value("limits.clearance_min_mm")
     return tuple(
-        Place(title, where, float(course.arc[index]), _cuts(course, index, volume, window, asked))
+        Place(title, where, float(course.arc[index]), printed(cut_field(course, course.place_at(index)), 0), _cuts(course, index, volume, window, asked))
         for title, index, where in found
     )
+
+
+def cut_field(course: Course, place: int) -> float:
+    """Side of the static cuts in mm: the lumen with its surroundings, not lost in them."""
+    return FIELD_MM if course.rims is None else float(np.clip(np.ceil(11.0 * np.median(course.rims[place]) / 2) * 2, 20.0, FIELD_MM))
 
 
 def _cuts(course: Course, index: int, volume: Volume | None, window: Window | None, asked: float | None) -> tuple[Thumbnail, ...]:
@@ -286,7 +293,7 @@ def _cuts(course: Course, index: int, volume: Volume | None, window: Window | No
     tight = course.clearance is not None and asked is not None and float(course.clearance[index]) < asked
     circle = tag("circle", class_="asked bad" if tight else "asked", r=f"{asked:.3f}") if asked else Markup("")
     wall = Markup("")
-    field = FIELD_MM
+    field = cut_field(course, place)
     if course.rims is not None:
         angle = 2.0 * np.pi * np.arange(course.rims.shape[1]) / course.rims.shape[1]
         rim = course.rims[place]
@@ -295,8 +302,6 @@ def _cuts(course: Course, index: int, volume: Volume | None, window: Window | No
             class_="rim",
             d="M" + "L".join(f"{r * np.cos(a):.2f} {-r * np.sin(a):.2f}" for r, a in zip(rim, angle, strict=True)) + "Z",
         )
-        if volume is None:
-            field = float(np.clip(2.6 * np.quantile(rim, 0.9), 4.0, 2 * FIELD_MM))
     across = Thumbnail("Across", _picture(volume, window, origin, normal, down, [wall, circle], "Cut across the path", field, ()))
     if volume is None or window is None:
         return (across,) if course.rims is not None else ()
@@ -329,7 +334,7 @@ def _picture(
     spots = ((-0.94, 0.03, "start"), (0.94, 0.03, "end"), (0.0, -0.86, "middle"), (0.0, 0.94, "middle"))
     for letter, (x, y, anchor) in zip(letters, spots, strict=False):
         parts.append(
-            tag("text", letter, class_="side", x=x * half, y=y * half, font_size=f"{field * 0.075:.1f}", text_anchor=anchor)
+            tag("text", letter, class_="side", x=x * half, y=y * half, text_anchor=anchor)
         )
     kind = "cut" if volume is not None else "cut no-ct"
     return Markup('<svg class="{}" viewBox="{} {} {} {}" role="img" aria-label="{}">{}</svg>').format(

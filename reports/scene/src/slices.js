@@ -69,8 +69,9 @@ export function drawTile(canvas, sample, grey, plane, overlay) {
 // One column per place on the path, rows from +half to -half along `way`.
 export function drawReformation(canvas, sample, grey, points, way, half) {
   const dpr = 2;
-  canvas.width = Math.max(2, Math.round(canvas.clientWidth * dpr));
-  canvas.height = Math.max(2, Math.round(canvas.clientHeight * dpr));
+  const { clientWidth, clientHeight } = canvas.parentElement; // the canvas itself is hidden until it is drawn
+  canvas.width = Math.max(2, Math.round(clientWidth * dpr));
+  canvas.height = Math.max(2, Math.round(clientHeight * dpr));
   const n = points.length;
   const w = Math.min(n, 500), h = 90;
   fill(canvas, w, h, (c, r) => {
