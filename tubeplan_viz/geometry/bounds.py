@@ -9,12 +9,16 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from segmentation.errors import GeometryError
 from tubeplan_viz.geometry.curve import SplineCurve
-from tubeplan_viz.geometry.distance import WallDistance
+from tubeplan_viz.geometry.distance import ON_SURFACE, WallDistance
 
 MAX_DEPTH = 40
-# Flat clearance along a straight axis needs one query per 2 tolerances of length; this
-# allows 800 mm of it at 0.01 mm and keeps the worst case near a second.
-MAX_QUERIES = 40_000
+# Closer to its limit than this share a curvature is not decided.
+DECIDED = 1e-5
+# A piece this long bulges from its chord by 0.03 mm at a bend radius of 8 mm, and the
+# faces within reach of it are few.
+PIECE_LENGTH = 1.0
+# Keeps the worst case at a few seconds; what is left then counts with its bound as it is.
+MAX_PIECES = 40_000
 
 
 @dataclass(frozen=True)
@@ -53,12 +57,15 @@ def halves(control: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatAr
     return split, np.concatenate([np.column_stack([low, half]), np.column_stack([half, high])])
 
 
-def curvature_upper_bound(curve: SplineCurve, *, tolerance: float = 0.005) -> Bound:
+def curvature_upper_bound(curve: SplineCurve, *, limit: float | None = None, tolerance: float = 0.005) -> Bound:
     """Largest curvature of a cubic spline, bounded from above within a relative `tolerance`.
 
     Parameters
     ----------
     curve : SplineCurve
+    limit : float, 1/mm, optional
+        While no sample exceeds it, pieces whose bound does are halved further, down to a
+        relative `DECIDED`, so that the bound decides the limit.
     tolerance : float
         Pieces are halved until the bound is within this share of the sampled maximum.
 
@@ -80,6 +87,8 @@ def curvature_upper_bound(curve: SplineCurve, *, tolerance: float = 0.005) -> Bo
             sampled, at = float(ends.max()), float(ranges.ravel()[int(np.argmax(ends))])
         upper = piece_curvature_bounds(control)
         loose = upper > sampled * (1.0 + tolerance) + 1e-9
+        if limit is not None and sampled <= limit:
+            loose |= upper > max(limit, sampled * (1.0 + DECIDED))
         if not loose.all():
             bound = max(bound, float(upper[~loose].max()))
         if not loose.any():
@@ -115,9 +124,7 @@ def dots(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ij,ij->i", x, y))
 
 
-def clearance_lower_bound(
-    curve: SplineCurve, wall: WallDistance, *, limit: float | None = None, tolerance: float = 0.01
-) -> Bound:
+def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: float | None = None, tolerance: float = 0.01) -> Bound:
     """Least clearance along a cubic spline, bounded from below within `tolerance` mm.
 
     Parameters
@@ -137,25 +144,35 @@ def clearance_lower_bound(
 
     Notes
     -----
-    The distance to a fixed set is 1-Lipschitz. A Bezier piece lies in the convex hull of
-    its control points, so its clearance is at least that at its middle less the distance
-    from the middle to the farthest control point.
+    A Bezier piece lies in the convex hull of its control points. A triangle is convex, so
+    the plane through its point f nearest to some point m, perpendicular to m - f, bounds the
+    distance of x from below by n . (x - f): linear in x, and so least at a control point.
+    With m the point of the piece's chord nearest to the triangle, the bound falls short only
+    by the piece's bulge. A piece keeps away from all triangles farther from its middle than
+    the distance asked plus the distance to its farthest control point, since the distance to a fixed
+    set is 1-Lipschitz. Where the middle lies outside the lumen, the Lipschitz bound alone serves.
     """
     control, ranges = bezier_pieces(curve)
+    control, ranges = short_pieces(control, ranges)
+    triangles = wall.triangles
+    # The distance to any face bounds the least clearance from above: a first value to prune with.
+    middle = middles(control)
+    some = triangles.closest(middle, triangles.likely_nearest(middle)[:, 0])
     sampled, at, bound = float("inf"), 0.0, float("inf")
-    queries = 0
+    least = float(np.linalg.norm(middle - some, axis=1).min())
+    pieces = 0
     for _ in range(MAX_DEPTH):
-        middle = 0.125 * (control[:, 0] + 3.0 * control[:, 1] + 3.0 * control[:, 2] + control[:, 3])
-        value = wall.clearance(middle)
-        queries += len(middle)
+        middle = middles(control)
+        spread = np.linalg.norm(control - middle[:, None], axis=2).max(axis=1)
+        value, lower = piece_clearances(control, middle, spread, min(least, sampled), wall)
+        pieces += len(middle)
         if value.min() < sampled:
             k = int(np.argmin(value))
             sampled, at = float(value[k]), float(ranges[k].mean())
-        lower = value - np.linalg.norm(control - middle[:, None], axis=2).max(axis=1)
         loose = lower < sampled - tolerance
         if limit is not None:
             loose |= (lower < limit) & (value >= limit) & (value - lower > 1e-3)
-        if queries > MAX_QUERIES:
+        if pieces > MAX_PIECES:
             loose[:] = False
         if not loose.all():
             bound = min(bound, float(lower[~loose].min()))
@@ -163,3 +180,51 @@ def clearance_lower_bound(
             break
         control, ranges = halves(control[loose], ranges[loose])
     return Bound(min(bound, sampled), sampled, at)
+
+
+def middles(control: FloatArray) -> FloatArray:
+    """Points at the middle parameter of Bezier pieces (m, 4, 3): (m, 3)."""
+    return np.asarray(0.125 * (control[:, 0] + 3.0 * control[:, 1] + 3.0 * control[:, 2] + control[:, 3]))
+
+
+def short_pieces(control: FloatArray, ranges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pieces halved until none is longer than `PIECE_LENGTH`."""
+    done: list[tuple[FloatArray, FloatArray]] = []
+    for _ in range(MAX_DEPTH):
+        long = np.linalg.norm(np.diff(control, axis=1), axis=2).sum(axis=1) > PIECE_LENGTH
+        done.append((control[~long], ranges[~long]))
+        if not long.any():
+            break
+        control, ranges = halves(control[long], ranges[long])
+    return np.concatenate([c for c, _ in done]), np.concatenate([r for _, r in done])
+
+
+def piece_clearances(
+    control: FloatArray, middle: FloatArray, spread: FloatArray, least: float, wall: WallDistance
+) -> tuple[FloatArray, FloatArray]:
+    """Signed clearance at the middles, exact where it is under least + spread and at least that elsewhere; and lower bounds, both (m,) mm.
+
+    Bounds are cut off at `least`, since no larger one is of use.
+    """
+    triangles = wall.triangles
+    reach = least + spread
+    row, face = triangles.within(middle, reach)
+    foot = triangles.closest(middle[row], face)
+    gap = np.linalg.norm(middle[row] - foot, axis=1)
+    value, lower = reach.copy(), np.full(len(middle), least)
+    np.minimum.at(value, row, gap)
+    near = gap < reach[row]
+    row, face, foot, gap = row[near], face[near], foot[near], gap[near]
+    first, last = control[row, 0], control[row, 3]
+    chord = last - first
+    share = np.einsum("ij,ij->i", foot - first, chord) / np.maximum(np.einsum("ij,ij->i", chord, chord), 1e-30)
+    site = first + np.clip(share, 0.0, 1.0)[:, None] * chord
+    foot = triangles.closest(site, face)
+    normal = site - foot
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    plane = np.einsum("pki,pi->pk", control[row] - foot[:, None], normal).min(axis=1)
+    np.minimum.at(lower, row, np.maximum(plane, gap - spread[row]))
+    outside = ~wall.inside(middle)
+    value[outside] = -wall.distance(middle[outside]) if outside.any() else 0.0
+    lower[outside] = value[outside] - spread[outside]
+    return value, lower

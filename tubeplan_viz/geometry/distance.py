@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import igl
 import numpy as np
 from numpy.typing import ArrayLike
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.mesh import Surface
+from tubeplan_viz.geometry.triangles import Triangles
 
 # A point on a cap lies on the closed surface, where the winding number is 1/2 and
 # rounding decides; inside or outside by less than this is inside.
@@ -37,8 +40,17 @@ class WallDistance:
         self._wall_index = np.arange(len(self._faces)) if closed_ends else np.flatnonzero(surface.face_cap < 0)
         self._tree = igl.AABB()
         self._tree.init(self._vertices, self._wall)
+        self._caps = self._faces[:0] if closed_ends else np.array(self._faces[surface.face_cap >= 0])
+        self._cap_tree = igl.AABB()
+        if len(self._caps):
+            self._cap_tree.init(self._vertices, self._caps)
         self._winding = igl.FastWindingNumberBVH()
         self._winding.init(self._vertices, self._faces)
+
+    @cached_property
+    def triangles(self) -> Triangles:
+        """The wall's faces as a set that lists all faces within a distance."""
+        return Triangles(self._vertices[self._wall])
 
     def nearest(self, points: ArrayLike) -> tuple[FloatArray, IntArray, FloatArray]:
         """Unsigned distance, mm (k,), index of the nearest face of the surface (k,), and nearest wall point (k, 3)."""
@@ -49,6 +61,13 @@ class WallDistance:
     def distance(self, points: ArrayLike) -> FloatArray:
         """Unsigned distance to the wall, mm, (k,)."""
         return self.nearest(points)[0]
+
+    def cap_distance(self, points: ArrayLike) -> FloatArray:
+        """Distance to the nearest cap that is not counted as wall, mm, (k,); infinite where there is none."""
+        query = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=float)))
+        if not len(self._caps):
+            return np.full(len(query), np.inf)
+        return np.sqrt(np.atleast_1d(self._cap_tree.squared_distance(self._vertices, self._caps, query)[0]))
 
     def inside(self, points: ArrayLike) -> BoolArray:
         """Whether each point lies in the lumen or within a micrometre of its closed surface, (k,)."""
