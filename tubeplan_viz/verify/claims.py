@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray
-from tubeplan_viz.verify.profile import AT_END_MM, OwnProfile
+from tubeplan_viz.verify.profile import ON_SURFACE_MM, OwnProfile
 from tubeplan_viz.verify.verification import Check
 
 # Points and clearances are computed twice in double precision from coordinates up to 1e3 mm: agreement is far
@@ -83,7 +83,7 @@ def check_profile(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]
         text=f"The curvature at each of {len(s)} samples agrees with that of the spline's derivatives; the largest gap is shown.",
     )
     stated = np.array(path["clearance_mm"], dtype=float)
-    found, inside = own.lumen.clearance(points, at_end=AT_END_MM)
+    found, inside = own.lumen.clearance(points, on_surface=ON_SURFACE_MM)
     gap = np.abs(found - stated)
     worst = int(gap.argmax())
     yield Check(
@@ -119,7 +119,7 @@ def check_metrics(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]
         ("curvature_mean_per_mm", own.curvature_mean, curvature_slack, curvature_slack, "1/mm"),
         ("clearance_mean_mm", own.clearance_mean, clearance_slack, clearance_slack, "mm"),
         ("curvature_max_per_mm", peak, EXTREME_CURVATURE * peak, SAME_CURVATURE, "1/mm"),
-        ("clearance_min_mm", least, SAME_MM, EXTREME_CLEARANCE_MM, "mm"),
+        ("clearance_min_mm", least, least - own.clearance_bound + SAME_MM, EXTREME_CLEARANCE_MM, "mm"),
     ]
     for name, value, below, above, unit in rows:
         stated = metrics[name]
@@ -140,11 +140,15 @@ def check_metrics(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]
     yield Check(
         name="metrics: no better than the samples",
         ok=bool(no_better),
-        found=f"{stated_peak} 1/mm, {stated_least} mm",
+        found=f"{_figure(stated_peak)} 1/mm, {_figure(stated_least)} mm",
         expected=f"at least {curvature.max():.7g} 1/mm, at most {clearance.min():.7g} mm",
         text="The stated extremes are no better than the worst samples of the same file.",
     )
     yield from _centerline_distance(result, own)
+
+
+def _figure(value: float | None) -> str:
+    return "not stated" if value is None else f"{value:.7g}"
 
 
 def _centerline_distance(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]:
@@ -220,12 +224,12 @@ def check_verdict(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]
 def _uncovered(wanted: list[tuple[float, float]], given: list[tuple[float, float]]) -> float | None:
     """First place of the wanted intervals that is farther than the tolerance from all given ones."""
     for start, end in wanted:
-        place = start
+        reach, met = start, False
         for low, high in sorted(given):
-            if low - FLAG_END_MM <= place <= high + FLAG_END_MM:
-                place = max(place, high + FLAG_END_MM)
-        if place <= end and not any(low - FLAG_END_MM <= place <= high + FLAG_END_MM for low, high in given):
-            return place
+            if low - FLAG_END_MM <= reach and high + FLAG_END_MM >= start:
+                reach, met = max(reach, high + FLAG_END_MM), True
+        if not met or reach < end:
+            return reach
     return None
 
 
@@ -268,7 +272,7 @@ def _certificate(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]:
     yield Check(
         name="certificate: bounds",
         ok=(upper is None or upper >= peak * (1.0 - 1e-9)) and (lower is None or lower <= least + 1e-9),
-        found=f"curvature at most {upper} 1/mm, clearance at least {lower} mm",
+        found=f"curvature at most {_figure(upper)} 1/mm, clearance at least {_figure(lower)} mm",
         expected=f"curvature up to {peak:.7g} 1/mm at {own.curvature_peak_at:.2f} mm, clearance down to {least:.7g} mm "
         f"at {own.clearance_least_at:.2f} mm are within",
         text="No place that the verifier finds is worse than the certificate's bounds.",
@@ -310,7 +314,7 @@ def check_features_and_centerline(result: Mapping[str, Any], own: OwnProfile) ->
         )
     if result["centerline"] is not None:
         line = np.array(result["centerline"]["points_mm"], dtype=float)
-        inside = own.lumen.clearance(line, at_end=AT_END_MM)[1]
+        inside = own.lumen.clearance(line, on_surface=ON_SURFACE_MM)[1]
         outside = np.flatnonzero(~inside)
         yield Check(
             name="centerline: inside the lumen",

@@ -28,6 +28,7 @@ from tubeplan_viz.verify.verification import Check, Verification
 from tubeplan_viz.verify.wall import Lumen, Triangles
 
 SPLINE_PLANNERS = ("tube",)
+LONGEST_MM = 5000.0
 Content = TypeVar("Content")
 
 
@@ -140,7 +141,17 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
         yield from check_frame(result, mesh, markups)
         yield from check_unit(result, mesh, path.pieces.reshape(-1, 3))
         yield from check_surface(result, mesh)
-        yield from _measured_checks(result, path, mesh, table)
+        length = float(np.linalg.norm(np.diff(path.pieces, axis=1), axis=2).sum())
+        if length <= LONGEST_MM:
+            yield from _measured_checks(result, path, mesh, table)
+        else:
+            yield Check(
+                name="path: measured",
+                ok=False,
+                found=f"a control polygon of {length:.4g} mm",
+                expected=f"at most {LONGEST_MM:g} mm",
+                text="The spline is too long for a path in a body and was not measured.",
+            )
     if markups is not None:
         yield from check_markups(markups, result)
     if page is not None:
