@@ -151,6 +151,10 @@ def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: floa
     by the piece's bulge. A piece keeps away from all triangles farther from its middle than
     the distance asked plus the distance to its farthest control point, since the distance to a fixed
     set is 1-Lipschitz. Where the middle lies outside the lumen, the Lipschitz bound alone serves.
+
+    The sign of the clearance jumps only where the curve passes a cap: a piece that could
+    reach one is bounded as if it did, until it is shorter than the micrometre by which a
+    point may lie outside.
     """
     control, ranges = bezier_pieces(curve)
     control, ranges = short_pieces(control, ranges)
@@ -165,6 +169,9 @@ def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: floa
         middle = middles(control)
         spread = np.linalg.norm(control - middle[:, None], axis=2).max(axis=1)
         value, lower = piece_clearances(control, middle, spread, min(least, sampled), wall)
+        may_leave = (spread > ON_SURFACE) & (wall.cap_distance(middle) <= spread)
+        if may_leave.any():
+            lower[may_leave] = -wall.distance(middle[may_leave]) - spread[may_leave]
         pieces += len(middle)
         if value.min() < sampled:
             k = int(np.argmin(value))
