@@ -87,16 +87,21 @@ def test_clearance_bound_holds_at_dense_samples_in_a_bent_tube_and_is_within_ten
         assert bound.sampled >= bound.bound
 
 
-def test_clearance_bound_holds_where_a_path_swings_out_through_a_cap(bent_tube: Any) -> None:
-    # Between the samples at its ends the path leaves through the cap by 0.02 mm and comes back:
-    # only the cap, which is no wall, is near, and the distance to the wall stays 3 mm throughout.
+def test_clearance_bound_holds_where_a_path_swings_out_through_a_cap_between_samples(bent_tube: Any) -> None:
+    # A parabola of curvature 2/mm tops the cap's plane by 16 micrometres, over 8 micrometres of its length.
+    # The wall stays 3 mm away throughout: only the cap, which is no wall, is passed.
     wall = WallDistance(bent_tube.surface)
     cap = bent_tube.surface.caps[0]
     across = np.cross(cap.normal, [0.0, 0.0, 1.0])
-    heights, offsets = [-0.3, -0.01, 0.03, -0.01, -0.3], [-0.6, -0.3, 0.0, 0.3, 0.6]
-    control = cap.center + np.outer(heights, cap.normal) + np.outer(offsets, across)
-    curve = SplineCurve(3, np.array([0, 0, 0, 0, 0.5, 1, 1, 1, 1], dtype=float), control)
-    truth = float(wall.clearance(curve(np.linspace(0.0, 1.0, 2001))).min())
+    x = np.linspace(-0.4637, 0.5, 4)
+    top, curvature = 1.6e-5, 2.0
+    # Control values of a quadratic raised to degree 3: its blossom at (a, a, b) and so on.
+    a, b = x[0], x[-1]
+    squares = np.array([a * a, (a * a + 2 * a * b) / 3.0, (b * b + 2 * a * b) / 3.0, b * b])
+    control = cap.center + np.outer(x, across) + np.outer(top - 0.5 * curvature * squares, cap.normal)
+    curve = SplineCurve(3, np.repeat([0.0, 1.0], 4), control)
+    apex = -a / (b - a)
+    truth = float(wall.clearance(curve([apex]))[0])
     assert truth < -2.0
     assert clearance_lower_bound(curve, wall).bound <= truth
 
