@@ -62,14 +62,14 @@ def crossing(s: FloatArray, excess: FloatArray, i: int) -> float:
 
 def certify(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Certificate:
     """Bounds on curvature and clearance between the samples too, and whether both meet the limits."""
-    curvature = curvature_upper_bound(curve)
+    curvature = curvature_upper_bound(curve, limit=limits.curvature_max)
     clearance = clearance_lower_bound(curve, wall, limit=limits.clearance_min)
     return Certificate(
         holds=curvature.bound <= limits.curvature_max and clearance.bound >= limits.clearance_min,
         curvature_upper_bound=min(curvature.bound, 1e9),
         clearance_lower_bound=clearance.bound,
         method="curvature: Bernstein bounds of the spline's pieces, subdivided to 0.5 %; "
-        "clearance: exact distance to triangles and its Lipschitz bound, subdivided to 0.01 mm",
+        "clearance: planes that keep each triangle from each piece, subdivided to 0.01 mm",
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from segmentation.arrays import FloatArray
+from segmentation.arrays import BoolArray, FloatArray
 from segmentation.errors import GeometryError
 from tubeplan_viz.geometry.curve import SplineCurve
 from tubeplan_viz.geometry.distance import ON_SURFACE, WallDistance
@@ -124,7 +124,9 @@ def dots(x: FloatArray, y: FloatArray) -> FloatArray:
     return np.asarray(np.einsum("ij,ij->i", x, y))
 
 
-def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: float | None = None, tolerance: float = 0.01) -> Bound:
+def clearance_lower_bound(
+    curve: SplineCurve, wall: WallDistance, *, limit: float | None = None, tolerance: float = 0.01
+) -> Bound:
     """Least clearance along a cubic spline, bounded from below within `tolerance` mm.
 
     Parameters
@@ -151,9 +153,8 @@ def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: floa
     by the piece's bulge. A piece keeps away from all triangles farther from its middle than
     the distance asked plus the distance to its farthest control point, since the distance to a fixed
     set is 1-Lipschitz. Where the middle lies outside the lumen, the Lipschitz bound alone serves.
-
     The sign of the clearance jumps only where the curve passes a cap: a piece that could
-    reach one is bounded as if it did, until it is shorter than the micrometre by which a
+    pass one is bounded as if it did, until it is shorter than the micrometre by which a
     point may lie outside.
     """
     control, ranges = bezier_pieces(curve)
@@ -169,9 +170,6 @@ def clearance_lower_bound(curve: SplineCurve, wall: WallDistance, *, limit: floa
         middle = middles(control)
         spread = np.linalg.norm(control - middle[:, None], axis=2).max(axis=1)
         value, lower = piece_clearances(control, middle, spread, min(least, sampled), wall)
-        may_leave = (spread > ON_SURFACE) & (wall.cap_distance(middle) <= spread)
-        if may_leave.any():
-            lower[may_leave] = -wall.distance(middle[may_leave]) - spread[may_leave]
         pieces += len(middle)
         if value.min() < sampled:
             k = int(np.argmin(value))
@@ -209,9 +207,10 @@ def short_pieces(control: FloatArray, ranges: FloatArray) -> tuple[FloatArray, F
 def piece_clearances(
     control: FloatArray, middle: FloatArray, spread: FloatArray, least: float, wall: WallDistance
 ) -> tuple[FloatArray, FloatArray]:
-    """Signed clearance at the middles, exact where it is under least + spread and at least that elsewhere; and lower bounds, both (m,) mm.
+    """Signed clearance at the middles, and lower bounds over the pieces, both (m,) mm.
 
-    Bounds are cut off at `least`, since no larger one is of use.
+    Clearances are exact where they are under `least` plus the spread, and at least that
+    elsewhere; bounds are cut off at `least`, since no larger one is of use.
     """
     triangles = wall.triangles
     reach = least + spread
@@ -232,6 +231,21 @@ def piece_clearances(
     plane = np.einsum("pki,pi->pk", control[row] - foot[:, None], normal).min(axis=1)
     np.minimum.at(lower, row, np.maximum(plane, gap - spread[row]))
     outside = ~wall.inside(middle)
-    value[outside] = -wall.distance(middle[outside]) if outside.any() else 0.0
-    lower[outside] = value[outside] - spread[outside]
+    if outside.any():
+        value[outside] = -wall.distance(middle[outside])
+    doubtful = outside | may_pass_opening(control, middle, spread, wall)
+    if doubtful.any():
+        lower[doubtful] = -wall.distance(middle[doubtful]) - spread[doubtful]
     return value, lower
+
+
+def may_pass_opening(control: FloatArray, middle: FloatArray, spread: FloatArray, wall: WallDistance) -> BoolArray:
+    """Pieces that reach a cap and are not seen to stay on its inner side, (m,)."""
+    doubtful = (spread > ON_SURFACE) & (wall.cap_distance(middle) <= spread + ON_SURFACE)
+    if wall.openings is not None and doubtful.any():
+        near = np.flatnonzero(doubtful)
+        row, face = wall.openings.within(middle[near], spread[near] + ON_SURFACE)
+        beyond = wall.openings.ahead(control[near[row]], face).max(axis=1) > ON_SURFACE
+        doubtful[near] = False
+        doubtful[near[row[beyond]]] = True
+    return doubtful

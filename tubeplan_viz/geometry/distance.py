@@ -52,6 +52,11 @@ class WallDistance:
         """The wall's faces as a set that lists all faces within a distance."""
         return Triangles(self._vertices[self._wall])
 
+    @cached_property
+    def openings(self) -> Triangles | None:
+        """Faces of the caps that are not counted as wall, their normals out of the lumen; None without any."""
+        return Triangles(self._vertices[self._caps]) if len(self._caps) else None
+
     def nearest(self, points: ArrayLike) -> tuple[FloatArray, IntArray, FloatArray]:
         """Unsigned distance, mm (k,), index of the nearest face of the surface (k,), and nearest wall point (k, 3)."""
         query = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=float)))
