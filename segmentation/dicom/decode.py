@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +11,6 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 from pydicom.encaps import get_frame
 from pydicom.pixels import get_decoder
-from pydicom.uid import DeflatedExplicitVRLittleEndian, ExplicitVRLittleEndian
 
 from segmentation.dicom.files import UNREADABLE
 from segmentation.dicom.headers import SliceHeader
@@ -135,12 +133,11 @@ def decode_slice(dataset: Dataset, header: SliceHeader) -> StoredArray:
                 "it is cut or its header is wrong, export it again"
             )
     options: dict[str, Any] = {"decoding_plugin": syntax.plugin} if syntax.plugin else {}
-    uid = ExplicitVRLittleEndian if header.syntax == DeflatedExplicitVRLittleEndian else header.syntax
     try:
         if syntax.family:
             frame = get_frame(data, index, number_of_frames=header.frames)
             check_stream(frame, family=syntax.family, rows=rows, columns=columns)
-        stored, _ = get_decoder(uid).as_array(dataset, index=index, raw=True, **options)
+        stored, _ = get_decoder(header.syntax).as_array(dataset, index=index, raw=True, **options)
     except (*UNREADABLE, RuntimeError) as error:
         raise SeriesError(
             f"has pixel data that do not decode as {syntax.name} ({type(error).__name__}); export it again"
@@ -151,8 +148,3 @@ def decode_slice(dataset: Dataset, header: SliceHeader) -> StoredArray:
         )
     result: StoredArray = stored
     return result
-
-
-def quiet_parser() -> warnings.catch_warnings[None]:
-    """A context in which pydicom's remarks on odd header values are not shown; the gate judges them."""
-    return warnings.catch_warnings(action="ignore", category=UserWarning)

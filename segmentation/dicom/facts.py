@@ -30,7 +30,7 @@ def series_facts(slices: Sequence[SliceHeader]) -> dict[str, str]:
         "Modality": printable(first.modality),
         "Manufacturer": printable(first.manufacturer),
         "Kernel": printable(first.kernel),
-        "Tube voltage": f"{printable(first.kvp)} kVp" if first.kvp else "",
+        "Tube voltage": f"{first.kvp:g} kVp" if first.kvp else "",
         "Slice thickness": f"{first.thickness:g} mm" if first.thickness is not None else "",
         "Contrast agent": "yes" if first.contrast else "not stated",
         "Patient position": describe_position(first.patient_position),

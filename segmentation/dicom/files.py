@@ -8,18 +8,21 @@ inflated no further than their own header asks for.
 from __future__ import annotations
 
 import io
+import logging
 import os
 import stat
 import struct
+import warnings
 import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import pydicom
 from pydicom.dataset import Dataset
-from pydicom.errors import InvalidDicomError
+from pydicom.errors import BytesLengthException, InvalidDicomError
 from pydicom.filereader import read_dataset
 from pydicom.uid import DeflatedExplicitVRLittleEndian
 
@@ -31,6 +34,7 @@ MAX_HEADER_BYTES = 16 << 20
 
 UNREADABLE = (
     InvalidDicomError,
+    BytesLengthException,
     OSError,
     EOFError,
     ValueError,
@@ -103,7 +107,8 @@ def list_folder(path: Path) -> Listing:
     for count, entry in enumerate(_walk(path)):
         if count >= MAX_FILES:
             raise SeriesError(f"{path.name}: holds more than {MAX_FILES} files; name the folder of one study")
-        name = entry.relative_to(root).as_posix()
+        # A name may hold terminal escapes.
+        name = "".join(letter if letter.isprintable() else "?" for letter in entry.relative_to(root).as_posix())
         status = entry.lstat()
         if not stat.S_ISREG(status.st_mode):
             kind = "a symbolic link" if stat.S_ISLNK(status.st_mode) else "no regular file"
@@ -244,3 +249,22 @@ def read_header(file: DicomFile) -> Dataset:
     """
     with _open(file.path) as stream:
         return parse(stream, pixels=False)
+
+
+@contextmanager
+def quiet_parser() -> Iterator[None]:
+    """Keep pydicom's and the decoders' remarks from being shown or logged while files are read.
+
+    They quote header values, so one could print a patient's name; what matters of them
+    comes as an error of ours.
+    """
+    loggers = [logging.getLogger(name) for name in ("pydicom", "pylibjpeg", "openjpeg")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

@@ -30,9 +30,8 @@ _ONE_OF_EACH: tuple[tuple[str, _Attribute, bool], ...] = (
     ("modality", lambda slice_: slice_.modality, True),
     ("reconstruction kernel", lambda slice_: slice_.kernel, True),
     ("phase", lambda slice_: "/".join(part for part in slice_.phase if part), True),
-    ("tube voltage", lambda slice_: slice_.kvp, True),
+    ("tube voltage", lambda slice_: f"{slice_.kvp} kVp", True),
     ("matrix", lambda slice_: f"{slice_.columns} x {slice_.rows}", True),
-    ("transfer syntax", lambda slice_: slice_.syntax, True),
     ("patient position", lambda slice_: slice_.patient_position, True),
     ("stored bits", lambda slice_: f"{slice_.bits_stored} {'signed' if slice_.signed else 'unsigned'}", True),
 )
@@ -87,6 +86,8 @@ def header_warnings(slices: Sequence[SliceHeader]) -> Iterator[str]:
         yield "the headers name no image class; taken as CT by their modality"
     if len({slice_.image_type[:2] for slice_ in slices}) > 1:
         yield "original and derived images are mixed in the series"
+    if len({slice_.rescale for slice_ in slices}) > 1:
+        yield "slope and intercept change from slice to slice; each slice was rescaled by its own"
     tilts = [abs(slice_.tilt) for slice_ in slices if slice_.tilt is not None]
     if tilts and max(tilts) > 0.1:
         yield f"the headers name a gantry tilt of {max(tilts):.1f} degrees, but the slices stand straight; taken as resampled"

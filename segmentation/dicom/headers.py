@@ -64,7 +64,7 @@ class SliceHeader:
     images_in_acquisition: int | None
     kernel: str
     phase: tuple[str, ...]
-    kvp: str
+    kvp: float | None
     thickness: float | None
     manufacturer: str
     patient_position: str
@@ -185,7 +185,7 @@ def _single(dataset: Dataset, file: DicomFile, sop_class: str) -> SliceHeader:
         images_in_acquisition=_integer(dataset, "ImagesInAcquisition"),
         kernel=_text(dataset, "ConvolutionKernel"),
         phase=(_text(dataset, "TemporalPositionIdentifier"), _text(dataset, "NominalPercentageOfCardiacPhase")),
-        kvp=_text(dataset, "KVP"),
+        kvp=_number(dataset, "KVP"),
         thickness=_number(dataset, "SliceThickness"),
         manufacturer=_text(dataset, "Manufacturer"),
         patient_position=_text(dataset, "PatientPosition"),
@@ -239,7 +239,7 @@ def _frame(plain: SliceHeader, groups: tuple[Dataset, Dataset], index: int, coun
             _text(content, "NominalPercentageOfCardiacPhase"),
             _text(content, "StackID"),
         ),
-        kvp=_text(rays, "KVP") or plain.kvp,
+        kvp=_number(rays, "KVP") or plain.kvp,
         thickness=_number(measures, "SliceThickness"),
         spacing=_numbers(measures, "PixelSpacing", 2),
         orientation=_numbers(group("PlaneOrientationSequence"), "ImageOrientationPatient", 6),

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from segmentation.dicom.decode import INSTALL, SYNTAXES, missing_modules, quiet_parser
+from segmentation.dicom.decode import INSTALL, SYNTAXES, missing_modules
 from segmentation.dicom.facts import geometry_facts, series_facts
 from segmentation.dicom.gate import header_faults, header_warnings, order_faults
 from segmentation.dicom.geometry import Stack, build_stack
@@ -38,9 +38,8 @@ def inspect_folder(path: Path, *, pixels: bool = False, progress: Progress | Non
         ``usable``, ``images``, ``facts``, ``geometry`` (null where there is none),
         ``transfer_syntax``, ``faults``, ``warnings``. Every value is JSON's.
     """
-    with quiet_parser():
-        scan = scan_headers(path, progress=progress)
-        series = [_describe(info, scan, pixels=pixels) for info in scan.series]
+    scan = scan_headers(path, progress=progress)
+    series = [_describe(info, scan, pixels=pixels) for info in scan.series]
     return {
         "kind": "dicom",
         "name": path.name,
@@ -122,9 +121,17 @@ def _geometry(stack: Stack, shape: tuple[int, int, int]) -> dict[str, Any]:
 
 
 def _syntax(headers: Sequence[SliceHeader]) -> dict[str, Any]:
-    syntax = SYNTAXES.get(headers[0].syntax)
+    """The coding of the series; where several are mixed, the first one that cannot be read goes before the others."""
+    codings = [SYNTAXES.get(uid) for uid in sorted({header.syntax for header in headers})]
+    syntax = next((coding for coding in codings if coding is None or missing_modules(coding)), codings[0])
     if syntax is None:
-        return {"name": "not a CT image coding that is read", "installed": False, "install": None}
+        return {
+            "name": "not a CT image coding that is read",
+            "compressed": None,
+            "decoder": None,
+            "installed": False,
+            "install": None,
+        }
     installed = not missing_modules(syntax)
     return {
         "name": syntax.name,

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from segmentation.arrays import VoxelArray
-from segmentation.dicom.decode import decode_slice, quiet_parser, require_decoder
+from segmentation.dicom.decode import decode_slice, require_decoder
 from segmentation.dicom.facts import geometry_facts, series_facts
-from segmentation.dicom.files import DicomFile, parse, read_bytes
+from segmentation.dicom.files import DicomFile, parse, quiet_parser, read_bytes
 from segmentation.dicom.gate import header_faults, header_warnings, order_faults
 from segmentation.dicom.geometry import Stack, build_stack
 from segmentation.dicom.headers import SliceHeader, slice_headers
@@ -98,14 +98,12 @@ def read_series(path: Path, *, series: str | None = None, progress: Progress | N
     SeriesError
         If the folder does not hold one trustworthy series of that name.
     """
-    with quiet_parser():
-        listing = scan_folder(path)
-        chosen, left_out = choose_series(listing, series, path.name)
-        try:
-            admitted = admit(chosen.headers)
-            result = read_admitted(admitted.slices, admitted.stack, progress=progress)
-        except SeriesError as error:
-            raise SeriesError(f"{path.name}: {error}") from error
+    chosen, left_out = choose_series(scan_folder(path), series, path.name)
+    try:
+        admitted = admit(chosen.headers)
+        result = read_admitted(admitted.slices, admitted.stack, progress=progress)
+    except SeriesError as error:
+        raise SeriesError(f"{path.name}: {error}") from error
     return replace(result, warnings=(*left_out, *admitted.warnings, *result.warnings))
 
 
@@ -152,7 +150,8 @@ def admit(headers: Sequence[SliceHeader]) -> Admitted:
     faults = list(header_faults(slices))
     if faults:
         raise SeriesError(join_faults(faults))
-    require_decoder(slices[0].syntax)
+    for syntax in sorted({slice_.syntax for slice_ in slices}):
+        require_decoder(syntax)
     stack = build_stack(slices)
     ordered = tuple(slices[k] for k in stack.order)
     for fault in order_faults(ordered):
@@ -188,14 +187,18 @@ def _read_voxels(slices: Sequence[SliceHeader], progress: Progress | None) -> tu
     places: dict[DicomFile, list[int]] = defaultdict(list)
     for k, slice_ in enumerate(slices):
         places[slice_.file].append(k)
-    voxels = np.empty((len(slices), *slices[0].matrix), dtype=np.int16)
+    shape = (len(slices), *slices[0].matrix)
+    try:
+        voxels = np.empty(shape, dtype=np.int16)
+    except MemoryError as error:
+        raise SeriesError(f"there is no memory for {np.prod(shape) / 1e9:.1f} billion voxels; crop the series") from error
 
     def read(file: DicomFile) -> tuple[str, list[Conversion]]:
         return _read_file(file, {k: slices[k] for k in places[file]}, voxels)
 
     hashes: list[str] = []
     conversions: list[Conversion] = []
-    with ThreadPoolExecutor(_WORKERS) as pool:
+    with quiet_parser(), ThreadPoolExecutor(_WORKERS) as pool:
         try:
             for digest, converted in pool.map(read, places):
                 hashes.append(digest)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from segmentation.dicom.files import DicomFile, list_folder, read_header
+from segmentation.dicom.files import DicomFile, list_folder, quiet_parser, read_header
 from segmentation.dicom.headers import SliceHeader, slice_headers
 from segmentation.errors import SeriesError
 
@@ -105,13 +105,14 @@ def scan_headers(path: Path, *, progress: Progress | None = None) -> Scan:
     listing = list_folder(path)
     headers: list[SliceHeader] = []
     faults = list(listing.faults)
-    for done, file in enumerate(listing.files, start=1):
-        try:
-            headers += _headers_of(file)
-        except SeriesError as error:
-            faults.append(str(error))
-        if progress is not None:
-            progress(done, len(listing.files))
+    with quiet_parser():
+        for done, file in enumerate(listing.files, start=1):
+            try:
+                headers += _headers_of(file)
+            except SeriesError as error:
+                faults.append(str(error))
+            if progress is not None:
+                progress(done, len(listing.files))
     return Scan(_group(headers), listing.ignored, tuple(faults))
 
 
