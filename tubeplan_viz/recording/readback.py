@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,17 +97,21 @@ def read_recording(path: Path) -> RecordedRun:
         If the file is none, is cut short, or was not written by this program.
     """
     from rerun.chunk import RrdReader
+    from rerun.error_utils import RerunWarning
 
     from tubeplan_viz.recording.sink import APPLICATION, RecordingError
 
     if not path.is_file():
         raise RecordingError(f"{path.name}: no such recording; expected the recording.rrd of a run folder")
     try:
-        reader = RrdReader(path)
+        with warnings.catch_warnings():
+            # A file that was cut short has lost its footer, of which rerun only warns.
+            warnings.simplefilter("error", RerunWarning)
+            reader = RrdReader(path)
         stores = reader.recordings()
         chunks = list(reader.stream()) if stores else []
         timelines = tuple(sorted({name for chunk in chunks for name in chunk.timeline_names}))
-    except (ValueError, OSError, RuntimeError) as error:
+    except (ValueError, OSError, RuntimeError, RerunWarning) as error:
         raise RecordingError(
             f"{path.name}: no readable recording, the file is cut short or of another kind; plan again"
         ) from error

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits
+from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits, PlanStatus
 from tubeplan_viz.recording import entities as at
 
 VERDICTS = {
-    "ok": "Every limit holds along the whole path",
-    "flagged": "Planned, with stretches that break a limit",
-    "infeasible": "No path",
+    PlanStatus.OK: "Every limit holds along the whole path",
+    PlanStatus.FLAGGED: "Planned, with stretches that break a limit",
+    PlanStatus.INFEASIBLE: "No path",
 }
+UNPROVED = "Planned; the limits hold at the samples but are not proved between them"
 
 
 def iteration_text(
@@ -61,7 +62,8 @@ def case_text(case_id: str, result: Mapping[str, Any], flagged: Sequence[Flagged
         _row("mean distance to the centerline", "{:.2f} mm", metrics.get("centerline_distance_mean_mm")),
         _row("tip error", "{:.2f} mm", metrics.get("tip_error_mm")),
     ]
-    parts = [f"## {VERDICTS[result['status']]}"]
+    unproved = result["status"] == PlanStatus.FLAGGED and not flagged
+    parts = [f"## {UNPROVED if unproved else VERDICTS[PlanStatus(result['status'])]}"]
     if result.get("reason"):
         parts.append(str(result["reason"]))
     states = len(result.get("iterations", ()))
