@@ -24,6 +24,12 @@ PRESETS = {preset.name: preset for preset in (AIRWAY, URINARY, VESSEL, GENERIC)}
 # Noise is measured within this distance of the seed: inside a large lumen, near the wall of a small one.
 NOISE_RADIUS = 4.0
 
+# Voids in real airways are under 1 % of the lumen.
+HOLLOW_MAX = 0.15
+
+# A hip implant has 23 to 66 % above this, depending on the limit; bone and contrast medium hardly reach it.
+METAL, METAL_SHARE_MAX = 2500.0, 0.1
+
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationSettings:
@@ -102,8 +108,25 @@ def segment_lumen(
     name = f"the region grown from {region.hu_min:.0f} to {region.hu_max:.0f} HU"
     if share > 0.5:
         raise RegionError(f"{name} is no tube: it fills {100 * share:.0f} % of the image; tighten the limits or check the seed")
+    _refuse_hollow_or_metal(volume, region, name)
     refuse_unless_tube(measure_shape(volume, region), preset.tube, name)
     return region
+
+
+def _refuse_hollow_or_metal(volume: Volume, region: Region, name: str) -> None:
+    """Bone's cortex around marrow, and implants, can have the shape of a tube."""
+    count = np.count_nonzero(region.mask)
+    hollow = 1.0 - count / np.count_nonzero(ndimage.binary_fill_holes(region.mask))
+    if hollow > HOLLOW_MAX:
+        raise RegionError(
+            f"{name} is a shell: {100 * hollow:.0f} % of what it encloses did not grow, expected at most {100 * HOLLOW_MAX:.0f} %, as in bone around its marrow; check the seed"
+        )
+    box = tuple(slice(lo, lo + n) for lo, n in zip(region.lower, region.mask.shape, strict=True))
+    metal = float(np.mean(volume.voxels[box][region.mask] >= METAL))
+    if metal > METAL_SHARE_MAX:
+        raise RegionError(
+            f"{name} is metal: {100 * metal:.0f} % of it is above {METAL:g} HU, expected at most {100 * METAL_SHARE_MAX:.0f} % in a lumen with contrast medium; check the seed"
+        )
 
 
 def measure_shape(volume: Volume, region: Region) -> TubeShape:
@@ -117,7 +140,9 @@ def _seed(volume: Volume, settings: SegmentationSettings) -> tuple[int, int, int
             return find_trachea(volume)
         if settings.anatomy == "urinary":
             return find_collecting_system(volume)
-        raise CaseError(f"anatomy {settings.anatomy} does not find its own seed; give a point in the lumen with --seed-point X,Y,Z (LPS, mm)")
+        raise CaseError(
+            f"anatomy {settings.anatomy} does not find its own seed; give a point in the lumen with --seed-point X,Y,Z (LPS, mm)"
+        )
     point = settings.seed_point
     if not volume.contains(point):
         corners = volume.to_lps([[-0.5] * 3, np.array(volume.voxels.shape) - 0.5])
@@ -136,7 +161,9 @@ def _growth(preset: Preset, settings: SegmentationSettings, smoothing: float) ->
     hu_max = preset.hu_max if settings.hu_max is None else settings.hu_max
     varied = "hu_min" if hu_min == "auto" else "hu_max" if hu_max == "auto" else None
     if hu_min is None and hu_max is None:
-        raise CaseError(f"anatomy {preset.name} needs at least one limit; give --hu-max for a dark lumen or --hu-min for a bright one (a number or auto)")
+        raise CaseError(
+            f"anatomy {preset.name} needs at least one limit; give --hu-max for a dark lumen or --hu-min for a bright one (a number or auto)"
+        )
     loosest = preset.loosest
     low = float(HU_LOWEST) if hu_min is None else hu_min
     high = float(HU_HIGHEST) if hu_max is None else hu_max

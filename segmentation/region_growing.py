@@ -180,7 +180,9 @@ def grow(
     if leak is None:
         chosen = len(limits) - 1
     else:
-        lumen = np.concatenate(flooded.joined[:leak])
+        # The lumen's own grey is taken a margin before the leak, where what leaks has hardly begun to join.
+        chosen = int(np.searchsorted(limits, limits[leak] - settings.leak.margin, side="right")) - 1
+        lumen = np.concatenate(flooded.joined[: max(chosen + 1, 1)])
         median = float(np.median(values.ravel()[lumen])) / STEPS_PER_HU if len(lumen) else sign * seed_hu
         margin = max(settings.leak.margin, settings.leak.margin_share * (limits[leak] - median))
         chosen = int(np.searchsorted(limits, limits[leak] - margin, side="right")) - 1

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from segmentation.arrays import FloatArray, VoxelArray
@@ -58,6 +61,16 @@ def smoothed_box(volume: Volume, lower: tuple[int, ...], upper: tuple[int, ...],
         values = ndimage.gaussian_filter(values, sigmas, mode="nearest", truncate=TRUNCATE)
     inner = tuple(slice(lo - o.start, up - o.start) for lo, up, o in zip(lower, upper, outer, strict=True))
     return np.asarray(values[inner], dtype=np.float64)
+
+
+def block_mean(voxels: VoxelArray, factor: tuple[int, int, int]) -> NDArray[np.float32]:
+    """Mean HU, clipped below at -1024, over blocks of `factor` voxels; an incomplete block at the end of an axis is left out."""
+    k, m, n = (size // f for size, f in zip(voxels.shape, factor, strict=True))
+    total = np.zeros((k, m, n), dtype=np.float32)
+    for a, b, c in product(*(range(f) for f in factor)):
+        total += np.maximum(voxels[a : k * factor[0] : factor[0], b : m * factor[1] : factor[1], c : n * factor[2] : factor[2]], HU_LOWEST)
+    total /= float(np.prod(factor))
+    return total
 
 
 def noise(volume: Volume, index: tuple[int, int, int], *, radius: float) -> float:

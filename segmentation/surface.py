@@ -18,9 +18,10 @@ from segmentation.region_growing import FACES, Region
 from segmentation.surface_smoothing import edges, smoothed
 from segmentation.volume import Volume
 
-# A cut across a tube is a disc or, askew, an ellipse; one that is longer than this many times its
-# width runs along the tube (tan of 68 degrees between the tube's axis and the face's normal).
-LENGTHWISE = 2.7
+# The image's face cuts a tube lengthwise when the tube's axis near the cut is less than 30 degrees
+# from the face's plane; the axis is that of the wall within this many lengths of the cut.
+LENGTHWISE = np.sin(np.radians(30.0))
+AXIS_REACH = 2.0
 
 # Of the quadric edge collapse; its default of 7 is quicker and tears thin tubes more often.
 AGGRESSIVENESS = 5
@@ -181,8 +182,8 @@ def _name_caps(
         label_text = f"C{number + 1}"
         caps.append(Cap(label=label_text, origin="image border", center=center, normal=planes[plane], area=area))
         name = [name for pair in FACES for name in pair][plane]
-        long, wide = _extent(points[np.unique(faces[patch])], area)
-        if long > LENGTHWISE * wide:
+        long, along = _lie(points, faces, patch, center)
+        if abs(float(along @ planes[plane])) < LENGTHWISE:
             notes.append(
                 f"{label_text}: the image border ({name}) cuts the lumen lengthwise over {long:.0f} mm ({area:.0f} mm2); "
                 "the wall beyond it is not in the image and the clearance towards it is unknown"
@@ -192,12 +193,14 @@ def _name_caps(
     return face_cap, tuple(caps)
 
 
-def _extent(points: FloatArray, area: float) -> tuple[float, float]:
-    """Length of a flat patch along its longest axis, mm, and the width of the ellipse of that length and area."""
-    centered = points - points.mean(axis=0)
-    _, _, axes = np.linalg.svd(centered, full_matrices=False)
-    long = float(np.ptp(centered @ axes[0]))
-    return long, 4.0 * area / (np.pi * long)
+def _lie(points: FloatArray, faces: IntArray, patch: IntArray, center: FloatArray) -> tuple[float, FloatArray]:
+    """Longest extent of a cap in mm, and the unit axis of the tube around it."""
+    rim = points[np.unique(faces[patch])]
+    _, _, axes = np.linalg.svd(rim - rim.mean(axis=0), full_matrices=False)
+    long = float(np.ptp(rim @ axes[0]))
+    near = points[np.linalg.norm(points - center, axis=1) <= AXIS_REACH * long]
+    _, _, axes = np.linalg.svd(near - near.mean(axis=0), full_matrices=False)
+    return long, axes[0]
 
 
 def _reduced(

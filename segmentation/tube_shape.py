@@ -15,13 +15,14 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
-from skimage.measure import label
+from scipy.spatial import cKDTree
+from skimage.measure import euler_number, label
 
-from segmentation.arrays import BoolArray, FloatArray
+from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.errors import RegionError
 
 # Coarser voxels keep the geodesic quick: the measures are of the size of the tube.
-VOXELS_MAX = 60_000
+VOXELS_MAX = 80_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,8 @@ class TubeShape:
         The same sphere in voxels of the coarsest axis.
     elongation : float
         `length` over the diameter of a cylinder of the same length and volume.
+    tunnels : int
+        Holes right through, as in a ring.
     section_excess : float
         Area of the cross-sections over that of their inscribed circles, median by volume.
     """
@@ -48,6 +51,7 @@ class TubeShape:
     length: float
     radius: float
     radius_voxels: float
+    tunnels: int
     elongation: float
     section_excess: float
 
@@ -64,12 +68,15 @@ class TubeRule:
     ----------
     elongation_min : float
     section_excess_max : float
+    tunnels_max : int
+        A spine has 65, a real collecting system up to 23, an airway none.
     radius_voxels_min : float
         Below this the image shows a line of voxels and no wall: ribs at 3 mm have 1.4.
     """
 
     elongation_min: float = 4.0
     section_excess_max: float = 2.6
+    tunnels_max: int = 40
     radius_voxels_min: float = 1.5
 
 
@@ -82,15 +89,12 @@ def tube_shape(mask: BoolArray, spacing: FloatArray) -> TubeShape:
         Touches the array's border only where the image ends.
     spacing : (3,) float array, mm
     """
-    # Edges are repeated so that the image's border does not look like a wall.
-    reach = 3
-    padded = np.pad(mask, reach, mode="edge")
-    depth = ndimage.distance_transform_edt(padded, sampling=spacing)[(slice(reach, -reach),) * 3]
     volume = float(mask.sum() * np.prod(spacing))
-    factor = np.maximum(np.round(max(1.0, (mask.sum() / VOXELS_MAX) ** (1 / 3)) * np.cbrt(np.prod(spacing)) / spacing), 1).astype(int)
-    coarse, step = _coarser(depth, factor), spacing * factor
-    index = np.argwhere(coarse > 0)
-    distance = _geodesic(coarse > 0, index, coarse, step)
+    coarse, factor = _coarser(mask, spacing)
+    step = spacing * factor
+    index = np.argwhere(coarse)
+    depth = _depth(coarse, index, step)
+    distance = _geodesic(coarse, index, int(np.argmax(depth)), step)
     length = float(distance.max() + step.max())
 
     width = max(1.5 * float(step.max()), 1.0)
@@ -99,7 +103,7 @@ def tube_shape(mask: BoolArray, spacing: FloatArray) -> TubeShape:
     section = label(shells, background=0, connectivity=3)[tuple(index.T)]
     parts = np.bincount(section) * float(np.prod(step))
     radius = np.zeros(len(parts))
-    np.maximum.at(radius, section, coarse[tuple(index.T)])
+    np.maximum.at(radius, section, depth)
     excess = (parts[1:] / width) / (np.pi * radius[1:] ** 2)
     order = np.argsort(excess)
     share = np.cumsum(parts[1:][order])
@@ -108,6 +112,7 @@ def tube_shape(mask: BoolArray, spacing: FloatArray) -> TubeShape:
         length=length,
         radius=float(depth.max()),
         radius_voxels=float(depth.max() / spacing.max()),
+        tunnels=1 - int(euler_number(np.pad(mask, 1), connectivity=1)),
         elongation=float(length / (2.0 * np.sqrt(volume / (np.pi * length)))),
         section_excess=float(excess[order][np.searchsorted(share, 0.5 * share[-1])]),
     )
@@ -125,6 +130,11 @@ def refuse_unless_tube(shape: TubeShape, rule: TubeRule, name: str) -> None:
             f"{name} is a blob and no tube: {shape.volume:.1f} ml over a length of {shape.length:.0f} mm is {shape.elongation:.1f} times as long "
             f"as wide, expected at least {rule.elongation_min:g}; check the seed and the limits"
         )
+    if shape.tunnels > rule.tunnels_max:
+        raise RegionError(
+            f"{name} is a sponge and no tube: {shape.tunnels} tunnels run through it, expected at most {rule.tunnels_max} "
+            f"({shape.volume:.1f} ml grown); smooth the image first, tighten the limits or check the seed"
+        )
     if shape.section_excess > rule.section_excess_max:
         raise RegionError(
             f"{name} is a sheet or a sponge and no tube: its cross-sections are {shape.section_excess:.1f} times their inscribed circles, "
@@ -132,19 +142,29 @@ def refuse_unless_tube(shape: TubeShape, rule: TubeRule, name: str) -> None:
         )
 
 
-def _coarser(depth: FloatArray, factor: FloatArray) -> FloatArray:
-    """Depth on larger voxels, each with the greatest of its parts."""
-    if np.all(factor == 1):
-        return depth
-    pad = [(0, int(-n % f)) for n, f in zip(depth.shape, factor, strict=True)]
-    wide = np.pad(depth, pad)
-    a, b, c = (int(f) for f in factor)
-    k, m, n = wide.shape
-    return np.asarray(wide.reshape(k // a, a, m // b, b, n // c, c).max(axis=(1, 3, 5)))
+def _coarser(mask: BoolArray, spacing: FloatArray) -> tuple[BoolArray, IntArray]:
+    """The mask on larger voxels, each inside when any of its parts is, and how many parts along each axis."""
+    many = mask.sum() / VOXELS_MAX
+    if many <= 1.0:
+        return mask, np.ones(3, dtype=np.int64)
+    # Finer axes are joined first, so that the larger voxels come out nearly cubic.
+    side = np.cbrt(many * np.prod(spacing))
+    factor = np.maximum(np.ceil(side / spacing - 0.25), 1).astype(np.int64)
+    wide = np.pad(mask, [(0, int(-n % f)) for n, f in zip(mask.shape, factor, strict=True)])
+    (k, m, n), (a, b, c) = wide.shape, (int(f) for f in factor)
+    return wide.reshape(k // a, a, m // b, b, n // c, c).any(axis=(1, 3, 5)), factor
 
 
-def _geodesic(inside: BoolArray, index: FloatArray, depth: FloatArray, step: FloatArray) -> FloatArray:
-    """Distance inside the region from its far end, (n,) mm: from the deepest voxel to the farthest, and back."""
+def _depth(mask: BoolArray, index: IntArray, step: FloatArray) -> FloatArray:
+    """Distance of each inside voxel to the nearest outside one that the image holds, (n,) mm."""
+    shore = np.argwhere(ndimage.binary_dilation(mask) & ~mask)
+    if len(shore) == 0:
+        return np.full(len(index), float(np.linalg.norm(step * mask.shape)))
+    return np.asarray(cKDTree(shore * step).query(index * step)[0])
+
+
+def _geodesic(inside: BoolArray, index: IntArray, source: int, step: FloatArray) -> FloatArray:
+    """Distance inside the region from its far end, (n,) mm: from `source` to the farthest voxel, and from there."""
     number = np.full(inside.shape, -1, dtype=np.int64)
     number[tuple(index.T)] = np.arange(len(index))
     padded = np.pad(number, 1, constant_values=-1)
@@ -157,8 +177,9 @@ def _geodesic(inside: BoolArray, index: FloatArray, depth: FloatArray, step: Flo
         rows.append(np.flatnonzero(linked))
         columns.append(other[linked])
         weights.append(np.full(int(linked.sum()), float(np.linalg.norm(np.array(offset) * step))))
-    graph = coo_matrix((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(len(index),) * 2).tocsr()
-    source = int(np.argmax(depth[tuple(index.T)]))
+    graph = coo_matrix(
+        (np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), shape=(len(index),) * 2
+    ).tocsr()
     distance = dijkstra(graph, directed=False, indices=source)
     distance = dijkstra(graph, directed=False, indices=int(np.argmax(np.where(np.isfinite(distance), distance, -1.0))))
     return np.where(np.isfinite(distance), distance, 0.0)

@@ -17,6 +17,7 @@ from segmentation.anatomy.preset import Preset
 from segmentation.arrays import BoolArray, FloatArray
 from segmentation.errors import RegionError
 from segmentation.leak import LeakRule
+from segmentation.smoothing import block_mean
 from segmentation.volume import Volume
 
 # -650 HU: halfway between air at -1000 and a thin wall seen at -300; beyond it a trachea
@@ -76,7 +77,7 @@ def find_trachea(volume: Volume) -> tuple[int, int, int]:
     if abs(direction[2]) < 0.7:
         raise RegionError("the trachea is looked for in axial slices and these are not; give a point in it with --seed-point")
     factor = np.maximum(np.round(COARSE / volume.spacing[1:]), 1).astype(int)
-    coarse = _block_mean(volume.voxels, int(factor[0]), int(factor[1]))
+    coarse = block_mean(volume.voxels, (1, int(factor[0]), int(factor[1])))
     step = volume.spacing[1:] * factor
     chains = _linked([_patches(coarse[k], k, step) for k in range(len(coarse))], float(volume.spacing[0]))
     scored = [(_score(chain, float(volume.spacing[0])), number) for number, chain in enumerate(chains)]
@@ -89,16 +90,6 @@ def find_trachea(volume: Volume) -> tuple[int, int, int]:
         )
     chain = chains[number]
     return _core(volume, chain[len(chain) // 2], factor, step, float(np.sqrt(max(p.area for p in chain) / np.pi)))
-
-
-def _block_mean(voxels: FloatArray, rows: int, columns: int) -> FloatArray:
-    """Mean over blocks of rows x columns in each slice, clipped at -1024 HU."""
-    k, m, n = voxels.shape[0], voxels.shape[1] // rows, voxels.shape[2] // columns
-    total = np.zeros((k, m, n), dtype=np.float32)
-    for i in range(rows):
-        for j in range(columns):
-            total += np.maximum(voxels[:, i : m * rows : rows, j : n * columns : columns], -1024)
-    return total / (rows * columns)
 
 
 def _patches(image: FloatArray, number: int, step: FloatArray) -> list[_Patch]:
