@@ -12,6 +12,8 @@ from segmentation.arrays import BoolArray, FloatArray, IntArray
 
 BATCH = 16  # consecutive samples that share one list of candidate faces
 PAIRS_AT_ONCE = 40_000  # point-triangle pairs per pass: the temporaries stay in the cache
+NORMAL_TRUSTED = 1e-4  # twice the area over the radius squared: the normal of a thinner face is uncertain by over 1e-12
+NEEDLE = 1e-8  # the same: a thinner face is measured as its three edges, which is off by 1e-8 of its length at most
 PRUNING_SLACK = 1e-9  # mm^2 at 1 mm: rounding must not drop the nearest face
 SOLID_ANGLES_AT_ONCE = 200_000
 
@@ -42,7 +44,8 @@ class Triangles:
     def _normals(self) -> FloatArray:
         cross = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
         size = np.linalg.norm(cross, axis=1, keepdims=True)
-        return np.divide(cross, size, out=np.zeros_like(cross), where=size > 0.0)
+        # Without a trustworthy normal a face keeps the zero vector, and is pruned by its centre alone.
+        return np.divide(cross, size, out=np.zeros_like(cross), where=size > NORMAL_TRUSTED * self._radii[:, None] ** 2)
 
     @cached_property
     def _classes(self) -> list[tuple[IntArray, float, cKDTree]]:
@@ -93,7 +96,7 @@ def point_triangle_distance(points: FloatArray, triangles: FloatArray) -> FloatA
     """Distance of the i-th point, (k, 3), to the i-th triangle, (k, 3, 3): (k,) mm.
 
     The distance to the triangle's plane where the foot of the perpendicular is inside
-    the triangle, otherwise that to the nearest edge. A triangle without area is its longest edge.
+    the triangle, otherwise that to the nearest edge. A triangle without area is its edges.
     """
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     square = np.full(len(points), np.inf)
@@ -110,7 +113,9 @@ def point_triangle_distance(points: FloatArray, triangles: FloatArray) -> FloatA
         _dot(x, y) for x, y in ((first, first), (first, second), (second, second), (first, to_point), (second, to_point))
     )
     along_first, along_second = ss * fp - fs * sp, ff * sp - fs * fp  # barycentric, times the area's square
-    inside = (size > 0.0) & (along_first >= 0.0) & (along_second >= 0.0) & (along_first + along_second <= size)
+    inside = (
+        (size > (NEEDLE * (ff + ss)) ** 2) & (along_first >= 0.0) & (along_second >= 0.0) & (along_first + along_second <= size)
+    )
     return np.sqrt(np.where(inside, _dot(to_point, normal) ** 2 / np.where(size > 0.0, size, 1.0), square))
 
 
