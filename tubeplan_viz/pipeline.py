@@ -298,7 +298,9 @@ def run_case(
                 method=case.planner.method,
                 frame=problem.surface.frame,
                 connect=connect,
+                light=light,
             )
+            warnings.extend(stream.warnings)
         try:
             if stream is not None:
                 with watch.stage("recording"):
