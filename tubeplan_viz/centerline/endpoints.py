@@ -20,6 +20,9 @@ from tubeplan_viz.centerline.trace import CenterlineSettings, walk_back
 from tubeplan_viz.centerline.voronoi import VoronoiGraph
 from tubeplan_viz.geometry import WallDistance
 
+# Depth in mm at which a cap's centre is tried when it does not lie inside itself.
+HAIR = 1e-3
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Endpoint:
@@ -74,15 +77,14 @@ def find_endpoints(
     if root is None and not caps:
         first = wide_end(graph, graph.matrix(graph.lengths), first, members)
     cost, previous = dijkstra(matrix, directed=False, indices=first, return_predecessors=True)
-    order = np.argsort(cost, kind="stable")
-    length = path_lengths(graph, order, previous, cost)
+    length = path_lengths(graph, previous)
     tree = cKDTree(graph.nodes)
     covered = ~members | ~np.isfinite(cost)
     covered[first] = True
     tips: list[tuple[int, float, float]] = []
     beyond = np.zeros(len(graph.nodes))
     while True:
-        beyond = lengths_beyond(order, previous, length, covered)
+        beyond = lengths_beyond(previous, length, covered)
         tip = int(np.argmax(beyond))
         foot = tip
         branch = [tip]
@@ -93,7 +95,8 @@ def find_endpoints(
         if len(branch) < 2 or (tips and beyond[tip] < max(width, 3.0 * settings.step)):
             break
         tips.append((tip, float(beyond[tip]), width))
-        for ball in tree.query_ball_point(graph.nodes[branch], 1.5 * graph.radii[branch] + settings.step):
+        spread = thinned(graph, branch)
+        for ball in tree.query_ball_point(graph.nodes[spread], 1.5 * graph.radii[spread] + settings.step, return_sorted=False):
             covered[ball] = True
     found = [(root_end(graph, previous, tips, first), max((b for _, b, _ in tips), default=0.0), 0.0)]
     found += [(retreat(graph, wall, previous, tip, b), b, w) for tip, b, w in sorted(tips, key=lambda t: -t[1])]
@@ -127,26 +130,38 @@ def farthest(matrix: csr_matrix, node: int, members: BoolArray) -> tuple[int, In
     return int(np.argmax(np.where(members & np.isfinite(distance), distance, -1.0))), previous
 
 
-def path_lengths(graph: VoronoiGraph, order: IntArray, previous: IntArray, cost: FloatArray) -> FloatArray:
-    """Length of the tree path from the root to every node, mm."""
-    length = np.zeros(len(graph.nodes))
-    step = np.zeros(len(graph.nodes))
-    has = previous >= 0
-    step[has] = np.linalg.norm(graph.nodes[has] - graph.nodes[previous[has]], axis=1)
-    for node in order:
-        if not np.isfinite(cost[node]):
-            break
-        if previous[node] >= 0:
-            length[node] = length[previous[node]] + step[node]
-    return length
+def path_lengths(graph: VoronoiGraph, previous: IntArray) -> FloatArray:
+    """Length of the tree path from the root to every node, mm; zero for nodes that the tree does not reach."""
+    own = np.arange(len(graph.nodes))
+    ancestor = np.where(previous >= 0, previous, own)
+    length = np.linalg.norm(graph.nodes - graph.nodes[ancestor], axis=1)
+    # Doubling: after k rounds `length` is that of the last 2^k edges, and `ancestor` lies at their beginning.
+    while True:
+        further = ancestor[ancestor]
+        if np.array_equal(further, ancestor):
+            return np.asarray(length)
+        length = length + length[ancestor]
+        ancestor = further
 
 
-def lengths_beyond(order: IntArray, previous: IntArray, length: FloatArray, covered: BoolArray) -> FloatArray:
+def lengths_beyond(previous: IntArray, length: FloatArray, covered: BoolArray) -> FloatArray:
     """For every node the length of its tree path outside the covered part, mm."""
-    foot = np.where(covered, length, 0.0)
-    for node in order[~covered[order]]:
-        foot[node] = foot[previous[node]]
-    return np.where(covered, 0.0, length - foot)
+    own = np.arange(len(covered))
+    foot = np.where(covered | (previous < 0), own, previous)
+    while True:
+        further = foot[foot]
+        if np.array_equal(further, foot):
+            return np.where(covered, 0.0, length - length[foot])
+        foot = further
+
+
+def thinned(graph: VoronoiGraph, branch: list[int]) -> list[int]:
+    """Nodes of a branch at least a quarter of the lumen's radius apart; their spheres cover what all of them cover."""
+    kept = [branch[0]]
+    for node in branch[1:]:
+        if np.linalg.norm(graph.nodes[node] - graph.nodes[kept[-1]]) >= 0.25 * graph.radii[kept[-1]]:
+            kept.append(node)
+    return kept
 
 
 def retreat(graph: VoronoiGraph, wall: WallDistance, previous: IntArray, tip: int, branch_length: float) -> int:
@@ -192,9 +207,12 @@ def label_tips(graph: VoronoiGraph, wall: WallDistance, found: list[tuple[int, f
         point, cap = graph.nodes[node], None
         for candidate in wall.surface.caps:
             reach = np.sqrt(candidate.area / np.pi)
-            center_is_inside = bool(wall.inside(candidate.center)[0])
-            if center_is_inside and np.linalg.norm(candidate.center - point) < 2.0 * reach + 1.0:
-                point, cap = candidate.center, candidate.label
+            center = candidate.center
+            if not wall.inside(center)[0]:
+                # Mesh files hold single precision, which may leave the centre a hair outside.
+                center = center - HAIR * candidate.normal
+            if wall.inside(center)[0] and np.linalg.norm(center - point) < 2.0 * reach + 1.0:
+                point, cap = center, candidate.label
                 break
         if any(np.linalg.norm(point - tip.point) < 1.0 for tip in tips):
             continue
