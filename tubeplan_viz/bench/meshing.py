@@ -151,5 +151,8 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
             & (normals @ normal > RIM_COSINE * areas)
         )
         labels[cap] = number
+        # Marching cubes work in single precision: put the flat part exactly on its plane.
+        flat = np.unique(faces[cap & (np.abs(depth).max(axis=1) < 1e-3 * voxel)])
+        vertices[flat] -= ((vertices[flat] - point) @ normal)[:, None] * normal
         caps.append(Cap(f"C{number + 1}", "flat end", point, normal, 0.5 * float(areas[cap].sum())))
     return Surface(vertices, faces.astype(np.int64), labels, tuple(caps), "mesh")
