@@ -76,7 +76,9 @@ def isosurface(volume: Volume, region: Region) -> Isosurface:
                 index[over, axis] = place
                 vertex_plane[over] |= 1 << (2 * axis + side)
     points = volume.to_lps(index)
-    return Isosurface(points, outward(points, faces.astype(np.int64)), vertex_plane, _plane_normals(volume), filled * volume.voxel_ml)
+    return Isosurface(
+        points, outward(points, faces.astype(np.int64)), vertex_plane, _plane_normals(volume), filled * volume.voxel_ml
+    )
 
 
 def lumen_field(volume: Volume, region: Region) -> tuple[FloatArray, int]:
@@ -88,7 +90,9 @@ def lumen_field(volume: Volume, region: Region) -> tuple[FloatArray, int]:
     field = np.full(hu.shape, np.inf)
     if region.hu_max < HU_HIGHEST:
         field = np.minimum(field, region.hu_max + half - hu)
-    if region.hu_min > HU_LOWEST:
+    if region.wall_limits is not None:
+        field = np.minimum(field, hu - region.wall_limits)
+    elif region.hu_min > HU_LOWEST:
         field = np.minimum(field, hu - region.hu_min + half)
     inside = ndimage.binary_fill_holes(region.mask)
     field = np.where(np.isinf(field), 1.0, np.abs(field))

@@ -14,6 +14,7 @@ from segmentation.anatomy.preset import Limit, Preset
 from segmentation.anatomy.urinary import URINARY, find_collecting_system
 from segmentation.anatomy.vessel import VESSEL
 from segmentation.errors import CaseError, RegionError
+from segmentation.half_maximum import at_half_maximum
 from segmentation.region_growing import GrowthSettings, Region, grow
 from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, noise
 from segmentation.tube_shape import TubeShape, refuse_unless_tube, tube_shape
@@ -104,6 +105,8 @@ def segment_lumen(
     if smoothing is None:
         smoothing = preset.smoothing if noise(volume, seed, radius=NOISE_RADIUS) > preset.noise_max else 0.0
     region = grow(volume, seed, _growth(preset, settings, smoothing), progress=progress)
+    if preset.half_maximum and region.curve is not None and region.curve.varied == "hu_min":
+        region = at_half_maximum(volume, region)
     share = np.count_nonzero(region.mask) / volume.voxels.size
     name = f"the region grown from {region.hu_min:.0f} to {region.hu_max:.0f} HU"
     if share > 0.5:

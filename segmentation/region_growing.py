@@ -76,6 +76,8 @@ class Region:
         Present when a limit was chosen automatically.
     smoothing : float, mm
         Standard deviation of the Gaussian that was applied before growing, 0 for none.
+    wall_limits : (k, l, m) float array or None, HU
+        Local lower limits of a bright lumen whose wall was moved to half maximum.
     """
 
     mask: BoolArray
@@ -87,9 +89,12 @@ class Region:
     border: dict[str, int]
     curve: GrowthCurve | None = None
     smoothing: float = 0.0
+    wall_limits: FloatArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mask", frozen_array(self.mask, (None, None, None), "mask", dtype=bool))
+        if self.wall_limits is not None:
+            object.__setattr__(self, "wall_limits", frozen_array(self.wall_limits, self.mask.shape, "wall_limits"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +123,9 @@ class GrowthSettings:
 
     def __post_init__(self) -> None:
         if self.varied not in (None, "hu_max", "hu_min") or self.connectivity not in (6, 26):
-            raise ValueError(f"varied is {self.varied!r} and connectivity {self.connectivity}, expected hu_max, hu_min or None and 6 or 26")
+            raise ValueError(
+                f"varied is {self.varied!r} and connectivity {self.connectivity}, expected hu_max, hu_min or None and 6 or 26"
+            )
         if not self.hu_min < self.hu_max:
             raise RegionError(f"the limits are {self.hu_min:g} to {self.hu_max:g} HU; the lower one must be below the upper")
 
@@ -237,7 +244,9 @@ def _too_much(volume: Volume, seed_hu: float, settings: GrowthSettings) -> str:
     )
 
 
-def _region(volume: Volume, seed: tuple[int, int, int], grown: IntArray, settings: GrowthSettings, curve: GrowthCurve | None) -> Region:
+def _region(
+    volume: Volume, seed: tuple[int, int, int], grown: IntArray, settings: GrowthSettings, curve: GrowthCurve | None
+) -> Region:
     """The grown voxels as a cropped mask with what it touches."""
     shape = volume.voxels.shape
     index = np.column_stack(np.unravel_index(grown, shape))

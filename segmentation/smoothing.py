@@ -68,7 +68,9 @@ def block_mean(voxels: VoxelArray, factor: tuple[int, int, int]) -> NDArray[np.f
     k, m, n = (size // f for size, f in zip(voxels.shape, factor, strict=True))
     total = np.zeros((k, m, n), dtype=np.float32)
     for a, b, c in product(*(range(f) for f in factor)):
-        total += np.maximum(voxels[a : k * factor[0] : factor[0], b : m * factor[1] : factor[1], c : n * factor[2] : factor[2]], HU_LOWEST)
+        total += np.maximum(
+            voxels[a : k * factor[0] : factor[0], b : m * factor[1] : factor[1], c : n * factor[2] : factor[2]], HU_LOWEST
+        )
     total /= float(np.prod(factor))
     return total
 

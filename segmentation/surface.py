@@ -96,7 +96,9 @@ def lumen_surface(volume: Volume, region: Region, settings: SurfaceSettings) -> 
         notes.append(f"{dropped / 1000.0:.3g} ml that touch the lumen at voxel corners only were left out")
     cap_face = _cap_faces(faces, vertex_plane)
     if not _is_closed(faces):
-        raise SurfaceError("the surface is not closed: an edge does not have exactly two faces; grow again with smoothing or another limit")
+        raise SurfaceError(
+            "the surface is not closed: an edge does not have exactly two faces; grow again with smoothing or another limit"
+        )
     points = smoothed(
         vertices,
         faces,
@@ -116,8 +118,12 @@ def lumen_surface(volume: Volume, region: Region, settings: SurfaceSettings) -> 
     surface = Surface(vertices=points, faces=faces, face_cap=face_cap, caps=caps, frame="LPS")
     tunnels = (2 - (len(points) - len(edges(faces)) // 2 + len(faces))) // 2
     if tunnels:
-        notes.append(f"the wall has {tunnels} tunnel{'s' if tunnels > 1 else ''} (Euler number {2 - 2 * tunnels}): a path may run round it on either side")
-    return LumenSurface(surface=surface, deviation=_deviation(points, surface.wall_faces, iso_vertices, iso_wall), notes=tuple(notes))
+        notes.append(
+            f"the wall has {tunnels} tunnel{'s' if tunnels > 1 else ''} (Euler number {2 - 2 * tunnels}): a path may run round it on either side"
+        )
+    return LumenSurface(
+        surface=surface, deviation=_deviation(points, surface.wall_faces, iso_vertices, iso_wall), notes=tuple(notes)
+    )
 
 
 def _around_seed(raw: Isosurface, seed: FloatArray) -> tuple[FloatArray, IntArray, IntArray, float]:
@@ -189,7 +195,9 @@ def _name_caps(
                 "the wall beyond it is not in the image and the clearance towards it is unknown"
             )
         else:
-            notes.append(f"{label_text}: the image border ({name}) cuts the lumen across ({area:.0f} mm2); closed there by a flat cap")
+            notes.append(
+                f"{label_text}: the image border ({name}) cuts the lumen across ({area:.0f} mm2); closed there by a flat cap"
+            )
     return face_cap, tuple(caps)
 
 
@@ -209,7 +217,9 @@ def _reduced(
     """The mesh with about `faces_max` faces by edge collapse, still closed and with flat caps; unchanged if that fails."""
     center = points.mean(axis=0)
     share = 1.0 - faces_max / len(faces)
-    small, few = fast_simplification.simplify((points - center).astype(np.float32), faces.astype(np.int32), share, agg=AGGRESSIVENESS)
+    small, few = fast_simplification.simplify(
+        (points - center).astype(np.float32), faces.astype(np.int32), share, agg=AGGRESSIVENESS
+    )
     small, few = small.astype(np.float64) + center, few.astype(np.int64)
     used, few = np.unique(few, return_inverse=True)
     small, few = small[used], few.reshape(-1, 3).astype(np.int64)

@@ -81,7 +81,11 @@ def smoothed(
         for weight in (shrink, grow):
             step = np.where(free, weight * (mean @ points - points), 0.0)
             points += _in_planes(step, vertex_plane, planes)
-    points += _in_planes(_restoring(signed_volume(vertices, faces) - signed_volume(points, faces), points, faces[~cap_face], free), vertex_plane, planes)
+    points += _in_planes(
+        _restoring(signed_volume(vertices, faces) - signed_volume(points, faces), points, faces[~cap_face], free),
+        vertex_plane,
+        planes,
+    )
     if cap_face.any():
         inner = ~wall_vertex[:, None]
         every = averaging(faces, count)

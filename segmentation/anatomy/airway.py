@@ -122,7 +122,10 @@ def _patches(image: FloatArray, number: int, step: FloatArray) -> list[_Patch]:
         if tissue < RING_TISSUE_MIN:
             continue
         rows, columns = np.nonzero(patch)
-        center = (float((rows.mean() + box[0].start - reach[0]) * step[0]), float((columns.mean() + box[1].start - reach[1]) * step[1]))
+        center = (
+            float((rows.mean() + box[0].start - reach[0]) * step[0]),
+            float((columns.mean() + box[1].start - reach[1]) * step[1]),
+        )
         found.append(_Patch(number, center, float(areas[part]), tissue))
     return found
 

@@ -24,6 +24,8 @@ class Preset:
         Where the search for an automatic limit ends.
     leak : LeakRule
     tube : TubeRule
+    half_maximum : bool
+        Whether the wall of the grown region is moved to half maximum when the limit was automatic.
     noise_max : float, HU
         With more noise around the seed than this the image is smoothed first.
     smoothing : float, mm
@@ -37,5 +39,6 @@ class Preset:
     loosest: float | None
     leak: LeakRule
     tube: TubeRule = field(default_factory=TubeRule)
+    half_maximum: bool = False
     noise_max: float = 25.0
     smoothing: float = 0.9

@@ -13,5 +13,6 @@ VESSEL = Preset(
     hu_min="auto",
     hu_max=3071.0,
     loosest=100.0,
+    half_maximum=True,
     leak=LeakRule(volume_min=1.0, volume_max=400.0, jump=20.0),
 )
