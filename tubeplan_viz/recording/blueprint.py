@@ -119,8 +119,9 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
         _bars(FlagKind.CLEARANCE, f"Clearance, mm over arc length in mm (limit {limits.clearance_min:g})"),
         _bars(FlagKind.CURVATURE, f"Curvature, 1/mm over arc length in mm (limit {limits.curvature_max:g})"),
         rrb.Tabs(
-            _series(at.CONVERGENCE, "Convergence: curvature / limit (red), clearance / limit (orange)"),
-            _series(at.COUNTS, "Features: all (yellow), moved (blue), added (green)"),
+            # The name tells the colours: a legend would hide the last iterations, which matter most.
+            _series(at.CONVERGENCE, "Convergence, 1 = limit: curvature (red), clearance (orange)", legend=False),
+            _series(at.COUNTS, "Features", legend=True),
             active_tab=0,
         ),
     ]
@@ -157,10 +158,9 @@ def _bars(kind: FlagKind, name: str) -> rrb.BarChartView:
     return rrb.BarChartView(origin=f"{at.PROFILE}/{kind.value}", name=name, plot_legend=rrb.PlotLegend(visible=False))
 
 
-def _series(origin: str, name: str) -> rrb.TimeSeriesView:
-    # The name tells the colours: a legend would hide the last iterations, which matter most.
+def _series(origin: str, name: str, *, legend: bool) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
-        origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=rrb.ScalarAxis(zoom_lock=False)
+        origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=legend), axis_y=rrb.ScalarAxis(zoom_lock=False)
     )
 
 

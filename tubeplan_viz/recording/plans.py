@@ -70,20 +70,20 @@ def step_track(step: PlanStep) -> Track:
 
 def log_legend(sink: Sink, limits: Limits) -> None:
     """Names and colours of the plots, once and for all times."""
+    series = {
+        f"{at.CONVERGENCE}/curvature": at.FLAG_COLORS[FlagKind.CURVATURE],
+        f"{at.CONVERGENCE}/limit": at.LIMIT[:3],
+        f"{at.COUNTS}/features": at.PATH,
+        f"{at.COUNTS}/moved": at.CENTERLINE_COLOR,
+        f"{at.COUNTS}/added": at.OK,
+    }
     if limits.clearance_min > 0.0:
-        sink.log(
-            f"{at.CONVERGENCE}/clearance",
-            rr.SeriesLines(names="clearance / limit", colors=at.FLAG_COLORS[FlagKind.CLEARANCE]),
-            static=True,
-        )
-    sink.log(
-        f"{at.CONVERGENCE}/curvature",
-        rr.SeriesLines(names="curvature / limit", colors=at.FLAG_COLORS[FlagKind.CURVATURE]),
-        static=True,
-    )
-    sink.log(f"{at.CONVERGENCE}/limit", rr.SeriesLines(names="limit", colors=at.LIMIT[:3]), static=True)
-    for name, color in (("features", at.PATH), ("moved", at.CENTERLINE_COLOR), ("added", at.OK)):
-        sink.log(f"{at.COUNTS}/{name}", rr.SeriesLines(names=name, colors=color), static=True)
+        series[f"{at.CONVERGENCE}/clearance"] = at.FLAG_COLORS[FlagKind.CLEARANCE]
+    for entity, color in series.items():
+        name = entity.rpartition("/")[2]
+        # The points show a run of a single iteration, which has no line.
+        sink.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.8), static=True)
+        sink.log(entity, rr.SeriesPoints(names=name, colors=color, marker_sizes=2.2), static=True)
 
 
 def log_step(sink: Sink, step: PlanStep, limits: Limits, *, light: bool) -> None:

@@ -66,8 +66,9 @@ def case_text(case_id: str, result: Mapping[str, Any], flagged: Sequence[Flagged
     parts = [f"## {UNPROVED if unproved else VERDICTS[PlanStatus(result['status'])]}"]
     if result.get("reason"):
         parts.append(str(result["reason"]))
-    states = len(result.get("iterations", ()))
-    parts.append(f"Case **{case_id}**, planner {planner['name']} ({planner['method']}), {states} recorded states")
+    count = len(result.get("iterations", ()))
+    states = f"{count} recorded {'state' if count == 1 else 'states'}"
+    parts.append(f"Case **{case_id}**, planner {planner['name']} ({planner['method']}), {states}")
     if any(rows):
         parts.append("| | found | limit | proved bound |\n|--|--|--|--|\n" + "\n".join(row for row in rows if row))
     return "\n\n".join([*parts, flag_table(flagged), f"*{at.NOTICE}*"])
