@@ -42,7 +42,7 @@ def inspect_folder(path: Path, *, pixels: bool = False, progress: Progress | Non
     series = [_describe(info, scan, pixels=pixels) for info in scan.series]
     return {
         "kind": "dicom",
-        "name": path.name,
+        "name": path.resolve().name,
         "files": len({header.file for info in scan.series for header in info.headers}),
         "ignored_files": scan.ignored,
         "pixels_checked": pixels,

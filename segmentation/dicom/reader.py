@@ -26,7 +26,7 @@ from segmentation.dicom.gate import header_faults, header_warnings, order_faults
 from segmentation.dicom.geometry import Stack, build_stack
 from segmentation.dicom.headers import SliceHeader, slice_headers
 from segmentation.dicom.hounsfield import FILL_HU, Conversion, hounsfield_faults, settle_fill, to_hounsfield
-from segmentation.dicom.outliers import outlier_faults
+from segmentation.dicom.outliers import judge_slices
 from segmentation.dicom.series import Progress, choose_series, join_faults, scan_folder
 from segmentation.errors import SeriesError
 from segmentation.volume import Volume
@@ -98,6 +98,7 @@ def read_series(path: Path, *, series: str | None = None, progress: Progress | N
     SeriesError
         If the folder does not hold one trustworthy series of that name.
     """
+    path = path.resolve()  # so that "." has a name
     chosen, left_out = choose_series(scan_folder(path), series, path.name)
     try:
         admitted = admit(chosen.headers)
@@ -125,7 +126,8 @@ def read_admitted(slices: Sequence[SliceHeader], stack: Stack, *, progress: Prog
     """
     voxels, hashes, conversions = _read_voxels(slices, progress)
     filled = settle_fill(voxels)
-    faults = [*outlier_faults(voxels, [slice_.name for slice_ in slices]), *hounsfield_faults(voxels)]
+    faults, doubts = judge_slices(voxels, [slice_.name for slice_ in slices])
+    faults += hounsfield_faults(voxels)
     if faults:
         raise SeriesError(join_faults(faults))
     facts = {
@@ -134,7 +136,7 @@ def read_admitted(slices: Sequence[SliceHeader], stack: Stack, *, progress: Prog
         "HU range": f"{voxels.min()} to {voxels.max()} HU",
     }
     digest = hashlib.sha256("".join(sorted(hashes)).encode()).hexdigest()
-    warnings = tuple(_value_warnings(conversions, filled))
+    warnings = (*_value_warnings(conversions, filled), *doubts)
     return DicomVolume(Volume(voxels, stack.index_to_lps), facts, warnings, digest, len(hashes))
 
 

@@ -86,6 +86,7 @@ def scan_folder(path: Path, *, progress: Progress | None = None) -> tuple[Series
         If a file looks like DICOM and cannot be read, is a link or no regular file, or if
         there is no DICOM at all.
     """
+    path = path.resolve()  # so that "." has a name
     scan = scan_headers(path, progress=progress)
     if scan.faults:
         raise SeriesError(f"{path.name}: {join_faults(scan.faults)}")
