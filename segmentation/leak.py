@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from segmentation.arrays import FloatArray, IntArray
+from segmentation.arrays import FloatArray, IntArray, VoxelArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ def leak_index(volumes: FloatArray, rule: LeakRule) -> int | None:
     return int(judged[0]) + 1 + int(np.argmax(steps))
 
 
-def leak_voxel(joined: IntArray, held: IntArray, values: FloatArray, shape: tuple[int, int, int]) -> tuple[int, int, int]:
+def leak_voxel(joined: IntArray, held: IntArray, values: VoxelArray, shape: tuple[int, int, int]) -> tuple[int, int, int]:
     """The voxel through which the leak begins.
 
     Of the voxels that joined at the leaking limit, the largest connected part is the
@@ -89,7 +89,7 @@ def leak_voxel(joined: IntArray, held: IntArray, values: FloatArray, shape: tupl
     ----------
     joined, held : (n,) and (m,) int array
         Flat indices of the voxels that joined at the leaking limit, and before it.
-    values : (n,) array
+    values : (n,) int16 array
         Grey values of `joined`, lower is further inside.
     shape : (3,) int tuple
         Shape of the image.

@@ -122,13 +122,15 @@ def _refuse_hollow_or_metal(volume: Volume, region: Region, name: str) -> None:
     hollow = 1.0 - count / np.count_nonzero(ndimage.binary_fill_holes(region.mask))
     if hollow > HOLLOW_MAX:
         raise RegionError(
-            f"{name} is a shell: {100 * hollow:.0f} % of what it encloses did not grow, expected at most {100 * HOLLOW_MAX:.0f} %, as in bone around its marrow; check the seed"
+            f"{name} is a shell, as of bone around marrow: {100 * hollow:.0f} % of what it encloses did not grow, "
+            f"expected at most {100 * HOLLOW_MAX:.0f} %; check the seed"
         )
     box = tuple(slice(lo, lo + n) for lo, n in zip(region.lower, region.mask.shape, strict=True))
     metal = float(np.mean(volume.voxels[box][region.mask] >= METAL))
     if metal > METAL_SHARE_MAX:
         raise RegionError(
-            f"{name} is metal: {100 * metal:.0f} % of it is above {METAL:g} HU, expected at most {100 * METAL_SHARE_MAX:.0f} % in a lumen with contrast medium; check the seed"
+            f"{name} is metal: {100 * metal:.0f} % of it is above {METAL:g} HU, "
+            f"expected at most {100 * METAL_SHARE_MAX:.0f} % in a lumen with contrast medium; check the seed"
         )
 
 
@@ -148,11 +150,12 @@ def _seed(volume: Volume, settings: SegmentationSettings) -> tuple[int, int, int
         )
     point = settings.seed_point
     if not volume.contains(point):
-        corners = volume.to_lps([[-0.5] * 3, np.array(volume.voxels.shape) - 0.5])
+        corners = volume.to_lps(np.array([np.full(3, -0.5), np.array(volume.voxels.shape) - 0.5]))
         low, high = corners.min(axis=0), corners.max(axis=0)
         box = ", ".join(f"{a:.1f} to {b:.1f}" for a, b in zip(low, high, strict=True))
         raise RegionError(
-            f"the seed ({', '.join(f'{x:.1f}' for x in point)}) mm lies outside the image, which spans ({box}) mm in LPS; check its frame (LPS) and unit (mm)"
+            f"the seed ({', '.join(f'{x:.1f}' for x in point)}) mm lies outside the image, "
+            f"which spans ({box}) mm in LPS; check its frame (LPS) and unit (mm)"
         )
     index = np.clip(np.round(volume.to_index(point)).astype(int), 0, np.array(volume.voxels.shape) - 1)
     return int(index[0]), int(index[1]), int(index[2])
@@ -165,7 +168,8 @@ def _growth(preset: Preset, settings: SegmentationSettings, smoothing: float) ->
     varied = "hu_min" if hu_min == "auto" else "hu_max" if hu_max == "auto" else None
     if hu_min is None and hu_max is None:
         raise CaseError(
-            f"anatomy {preset.name} needs at least one limit; give --hu-max for a dark lumen or --hu-min for a bright one (a number or auto)"
+            f"anatomy {preset.name} needs at least one limit; "
+            "give --hu-max for a dark lumen or --hu-min for a bright one (a number or auto)"
         )
     loosest = preset.loosest
     low = float(HU_LOWEST) if hu_min is None else hu_min

@@ -9,7 +9,7 @@ import numpy as np
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray, VoxelArray, frozen_array
 from segmentation.errors import RegionError
-from segmentation.flooding import BLOCKED, flood
+from segmentation.flooding import BLOCKED, Flood, flood
 from segmentation.leak import LeakRule, leak_index, leak_voxel
 from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, STEPS_PER_HU, growing_voxels
 from segmentation.volume import Volume
@@ -176,7 +176,7 @@ def grow(
         voxels_max=int(held_max / volume.voxel_ml),
         progress=progress,
     )
-    volumes = flooded.counts * volume.voxel_ml
+    volumes = np.asarray(flooded.counts * volume.voxel_ml, dtype=np.float64)
     limits = limits[: len(volumes)]
     if not settings.varied:
         if not flooded.complete:
@@ -184,20 +184,7 @@ def grow(
         return _region(volume, seed, np.concatenate(flooded.joined), settings, None)
 
     leak = leak_index(volumes, settings.leak)
-    if leak is None:
-        chosen = len(limits) - 1
-    else:
-        # The lumen's own grey is taken a margin before the leak, where what leaks has hardly begun to join.
-        chosen = int(np.searchsorted(limits, limits[leak] - settings.leak.margin, side="right")) - 1
-        lumen = np.concatenate(flooded.joined[: max(chosen + 1, 1)])
-        median = float(np.median(values.ravel()[lumen])) / STEPS_PER_HU if len(lumen) else sign * seed_hu
-        margin = max(settings.leak.margin, settings.leak.margin_share * (limits[leak] - median))
-        chosen = int(np.searchsorted(limits, limits[leak] - margin, side="right")) - 1
-        if chosen < 0 or volumes[chosen] < 0.5 * min(volumes[leak - 1], settings.leak.volume_min):
-            raise RegionError(
-                f"the region leaks at {sign * limits[leak]:.0f} HU, from {volumes[leak - 1]:.2f} to over {volumes[leak]:.0f} ml, too close to the "
-                f"seed's {seed_hu:.0f} HU to stop before it; smooth the image first, move the seed to the middle of the lumen, or give the limit"
-            )
+    chosen = len(limits) - 1 if leak is None else _before_leak(leak, limits, volumes, flooded, values, settings, seed_hu)
     where, point = None, None
     if leak is not None:
         held = np.concatenate(flooded.joined[:leak])
@@ -215,6 +202,31 @@ def grow(
     return _region(volume, seed, np.concatenate(flooded.joined[: chosen + 1]), settings, curve)
 
 
+def _before_leak(
+    leak: int,
+    limits: FloatArray,
+    volumes: FloatArray,
+    flooded: Flood,
+    values: VoxelArray,
+    settings: GrowthSettings,
+    seed_hu: float,
+) -> int:
+    """Index of the limit to use when the region leaks at `limits[leak]`, told in terms of a dark lumen."""
+    # The lumen's own grey is taken a margin before the leak, where what leaks has hardly begun to join.
+    chosen = int(np.searchsorted(limits, limits[leak] - settings.leak.margin, side="right")) - 1
+    lumen = np.concatenate(flooded.joined[: max(chosen + 1, 1)])
+    median = float(np.median(values.ravel()[lumen])) / STEPS_PER_HU if len(lumen) else limits[0]
+    margin = max(settings.leak.margin, settings.leak.margin_share * (limits[leak] - median))
+    chosen = int(np.searchsorted(limits, limits[leak] - margin, side="right")) - 1
+    if chosen < 0 or volumes[chosen] < 0.5 * min(volumes[leak - 1], settings.leak.volume_min):
+        raise RegionError(
+            f"the region leaks at {limits[leak] * (-1 if settings.varied == 'hu_min' else 1):.0f} HU, from {volumes[leak - 1]:.2f} to over "
+            f"{volumes[leak]:.0f} ml, too close to the seed's {seed_hu:.0f} HU to stop before it; "
+            "smooth the image first, move the seed to the middle of the lumen, or give the limit"
+        )
+    return chosen
+
+
 def _check_seed(volume: Volume, values: VoxelArray, seed: tuple[int, int, int], settings: GrowthSettings) -> None:
     """Refuse a seed outside the limits and name the nearest voxel inside."""
     low, high = settings.hu_min * STEPS_PER_HU, settings.hu_max * STEPS_PER_HU
@@ -229,18 +241,23 @@ def _check_seed(volume: Volume, values: VoxelArray, seed: tuple[int, int, int], 
         away = np.linalg.norm((inside - seed) * volume.spacing, axis=1)
         nearest = int(np.argmin(away))
         point = ", ".join(f"{x:.1f}" for x in volume.to_lps(inside[nearest]))
-        hint = f"the nearest voxel between them is {away[nearest]:.1f} mm away at LPS ({point}) mm: take it as the seed if that is the lumen"
+        hint = (
+            f"the nearest voxel between them is {away[nearest]:.1f} mm away at LPS ({point}) mm: "
+            "take it as the seed if that is the lumen"
+        )
     smoothed = " after smoothing" if settings.smoothing > 0 else ""
     raise RegionError(
-        f"nothing grows: the seed has {values[seed] / STEPS_PER_HU:.0f} HU{smoothed}, outside the limits {settings.hu_min:g} to {settings.hu_max:g} HU; {hint}"
+        f"nothing grows: the seed has {values[seed] / STEPS_PER_HU:.0f} HU{smoothed}, "
+        f"outside the limits {settings.hu_min:g} to {settings.hu_max:g} HU; {hint}"
     )
 
 
 def _too_much(volume: Volume, seed_hu: float, settings: GrowthSettings) -> str:
     whole = volume.voxels.size * volume.voxel_ml
     return (
-        f"the region leaks: between {settings.hu_min:g} and {settings.hu_max:g} HU it holds more than {settings.leak.volume_max:.0f} ml "
-        f"(the whole image {whole:.0f} ml, the seed {seed_hu:.0f} HU); tighten the limits, or let one be chosen with 'auto'"
+        f"the region leaks: between {settings.hu_min:g} and {settings.hu_max:g} HU it holds more than "
+        f"{settings.leak.volume_max:.0f} ml (the whole image {whole:.0f} ml, the seed {seed_hu:.0f} HU); "
+        "tighten the limits, or let one be chosen with 'auto'"
     )
 
 

@@ -48,7 +48,8 @@ class SurfaceSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.smoothing_rounds <= 200 or not 0.0 < self.pass_band < 1.0:
             raise SurfaceError(
-                f"smoothing_rounds is {self.smoothing_rounds} and pass_band {self.pass_band:g}, expected 0 to 200 and between 0 and 1"
+                f"smoothing_rounds is {self.smoothing_rounds} and pass_band {self.pass_band:g}, "
+                "expected 0 to 200 and between 0 and 1"
             )
         if self.faces_max is not None and self.faces_max < 500:
             raise SurfaceError(f"faces_max is {self.faces_max}, expected at least 500")
@@ -119,7 +120,8 @@ def lumen_surface(volume: Volume, region: Region, settings: SurfaceSettings) -> 
     tunnels = (2 - (len(points) - len(edges(faces)) // 2 + len(faces))) // 2
     if tunnels:
         notes.append(
-            f"the wall has {tunnels} tunnel{'s' if tunnels > 1 else ''} (Euler number {2 - 2 * tunnels}): a path may run round it on either side"
+            f"the wall has {tunnels} tunnel{'s' if tunnels > 1 else ''} "
+            f"(Euler number {2 - 2 * tunnels}): a path may run round it on either side"
         )
     return LumenSurface(
         surface=surface, deviation=_deviation(points, surface.wall_faces, iso_vertices, iso_wall), notes=tuple(notes)
@@ -179,8 +181,8 @@ def _name_caps(
         label = connected_components(graph, directed=False)[1][faces[members, 0]]
         for part in np.unique(label):
             patch = members[label == part]
-            area = _areas(points, faces[patch])
-            found.append((float(area.sum()), plane, patch, np.average(points[faces[patch]].mean(axis=1), axis=0, weights=area)))
+            areas = _areas(points, faces[patch])
+            found.append((float(areas.sum()), plane, patch, np.average(points[faces[patch]].mean(axis=1), axis=0, weights=areas)))
     face_cap = np.full(len(faces), -1, dtype=np.int64)
     caps = []
     for number, (area, plane, patch, center) in enumerate(sorted(found, key=lambda item: -item[0])):

@@ -122,13 +122,15 @@ def refuse_unless_tube(shape: TubeShape, rule: TubeRule, name: str) -> None:
     """Raise `RegionError` with the measures when the region cannot be a tube."""
     if shape.radius_voxels < rule.radius_voxels_min:
         raise RegionError(
-            f"{name} is no tube that this image resolves: its widest place has a radius of {shape.radius_voxels:.1f} voxels, expected at "
-            f"least {rule.radius_voxels_min:g} ({shape.volume:.2f} ml grown); check the seed and the limits, or use thinner slices"
+            f"{name} is no tube that this image resolves: its widest place has a radius of "
+            f"{shape.radius_voxels:.1f} voxels, expected at least {rule.radius_voxels_min:g} ({shape.volume:.2f} ml grown); "
+            "check the seed and the limits, or use thinner slices"
         )
     if shape.elongation < rule.elongation_min:
         raise RegionError(
-            f"{name} is a blob and no tube: {shape.volume:.1f} ml over a length of {shape.length:.0f} mm is {shape.elongation:.1f} times as long "
-            f"as wide, expected at least {rule.elongation_min:g}; check the seed and the limits"
+            f"{name} is a blob and no tube: {shape.volume:.1f} ml over a length of {shape.length:.0f} mm "
+            f"is {shape.elongation:.1f} times as long as wide, expected at least {rule.elongation_min:g}; "
+            "check the seed and the limits"
         )
     if shape.tunnels > rule.tunnels_max:
         raise RegionError(
@@ -137,8 +139,10 @@ def refuse_unless_tube(shape: TubeShape, rule: TubeRule, name: str) -> None:
         )
     if shape.section_excess > rule.section_excess_max:
         raise RegionError(
-            f"{name} is a sheet or a sponge and no tube: its cross-sections are {shape.section_excess:.1f} times their inscribed circles, "
-            f"expected at most {rule.section_excess_max:g} ({shape.volume:.1f} ml grown, {shape.length:.0f} mm long); tighten the limits or check the seed"
+            f"{name} is a sheet or a sponge and no tube: its cross-sections are {shape.section_excess:.1f} times "
+            f"their inscribed circles, expected at most {rule.section_excess_max:g} "
+            f"({shape.volume:.1f} ml grown, {shape.length:.0f} mm long); "
+            "tighten the limits or check the seed"
         )
 
 
@@ -152,7 +156,7 @@ def _coarser(mask: BoolArray, spacing: FloatArray) -> tuple[BoolArray, IntArray]
     factor = np.maximum(np.ceil(side / spacing - 0.25), 1).astype(np.int64)
     wide = np.pad(mask, [(0, int(-n % f)) for n, f in zip(mask.shape, factor, strict=True)])
     (k, m, n), (a, b, c) = wide.shape, (int(f) for f in factor)
-    return wide.reshape(k // a, a, m // b, b, n // c, c).any(axis=(1, 3, 5)), factor
+    return np.asarray(wide.reshape(k // a, a, m // b, b, n // c, c).any(axis=(1, 3, 5))), factor
 
 
 def _depth(mask: BoolArray, index: IntArray, step: FloatArray) -> FloatArray:

@@ -81,8 +81,9 @@ def find_collecting_system(volume: Volume) -> tuple[int, int, int]:
         best_share = max(best_share, share)
     if best == 0.0:
         raise RegionError(
-            f"no collecting system found: of {len(bodies)} bodies above {BRIGHT:g} HU the best has {100 * best_share:.0f} % enhanced kidney around it, "
-            f"expected at least {100 * SHARE_MIN:.0f} %; give a point in the lumen with --seed-point"
+            f"no collecting system found: of {len(bodies)} bodies above {BRIGHT:g} HU the best has "
+            f"{100 * best_share:.0f} % enhanced kidney around it, expected at least {100 * SHARE_MIN:.0f} %; "
+            "give a point in the lumen with --seed-point"
         )
     middle = (np.array(place) + 0.5) * factor - 0.5
     # A block's brightest voxel near its middle is inside even where a calyx is narrow.
