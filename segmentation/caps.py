@@ -133,7 +133,7 @@ class _Finder:
         distance = np.linalg.norm(offset, axis=1)
         size = np.sqrt(self.areas[near])
         across = np.linalg.norm(offset - np.einsum("ij,ij->i", offset, self.normals[near])[:, None] * self.normals[near], axis=1)
-        foot = near[across <= 0.2 * distance + size]
+        foot = near[across <= 0.25 * distance + 1.5 * size]
         order = foot[np.argsort(np.linalg.norm(self.centers[foot] - site, axis=1), kind="stable")]
         if len(order) > CANDIDATES:  # the nearest ones, and the others thinned out evenly: a disc has many faces
             half = CANDIDATES // 2

@@ -2,7 +2,7 @@
 
 HU of the tissues: subcutaneous and perirenal fat -105, muscle 58, skin 20, blood 135,
 spleen 112, renal cortex 156 and medulla 194, bone 230 (cancellous) to 750 (cortical),
-contrast-filled urine 250 to 390 with the denser part lying posteriorly.
+contrast-filled urine 310 to 395 with the denser part lying posteriorly.
 """
 
 from __future__ import annotations
@@ -333,5 +333,5 @@ def _urine(canvas: Canvas, system: CollectingSystem) -> None:
     _, y, _ = canvas.axes(box)
     outside_kidney = canvas.hu[box] < 130.0
     canvas.paint(box, np.where(outside_kidney, level - 0.9, 3.0), 52.0)
-    contrast = np.clip(300.0 + 5.5 * (y - 17.0), 265.0, 385.0)
+    contrast = np.clip(348.0 + 2.5 * (y - 17.0), 310.0, 395.0)
     canvas.paint(box, level, contrast)

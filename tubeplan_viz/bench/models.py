@@ -153,7 +153,10 @@ def bent_cylinder_2(*, meshing: Meshing = "swept", noise: float = 0.0, rng: np.r
 
     def clearance(s: FloatArray) -> FloatArray:
         t = np.clip(np.minimum(s, 72.0 - s), 0.0, None)
-        return np.minimum(10.0, np.where(t < 1.0, np.sqrt(4.0 + t**2), (4.0 + t) / np.sqrt(5.0)))
+        # In the bend the axis leaves the cone's axis sideways, by a little, while the cone is still the nearest wall.
+        turn = np.clip(t - 16.0, 0.0, None) * curvature
+        width = np.where(t < 16.0, 2.0 + 0.5 * t, 10.0 + (0.5 * np.sin(turn) - (1.0 - np.cos(turn))) / curvature)
+        return np.minimum(10.0, np.where(t < 1.0, np.sqrt(4.0 + t**2), 2.0 / np.sqrt(5.0) * width))
 
     return _tube("bent cylinder 2", axis, radius, meshing, noise, rng, clearance=clearance, kinks=(16.0, 56.0))
 
