@@ -19,7 +19,7 @@ def random_spline() -> SplineMaker:
 
     def make(rng: np.random.Generator) -> SplineCurve:
         count = int(rng.integers(6, 15))
-        steps = rng.normal(0.0, 2.5, (count, 3)) + [5.0, 0.0, 0.0]
+        steps = rng.normal(0.0, 2.5, (count, 3)) + np.array([5.0, 0.0, 0.0])
         inner = np.sort(rng.uniform(0.05, 0.95, count - 4))
         knots = np.concatenate([np.zeros(4), inner, np.ones(4)])
         return SplineCurve(3, knots, np.cumsum(steps, axis=0))

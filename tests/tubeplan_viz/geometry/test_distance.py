@@ -10,6 +10,9 @@ from segmentation.mesh import Cap, Surface
 from tubeplan_viz.geometry import WallDistance
 
 
+CENTER = np.array([30.0, -5.0, 2.0])
+
+
 def brute_force_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Least distance to triangles (m, 3, 3): to the plane where the foot is inside, else to the nearest edge."""
     best = np.full(len(points), np.inf)
@@ -39,7 +42,7 @@ def box_signed_distance(points: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def sphere() -> Surface:
     ball = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
-    return Surface(np.array(ball.vertices) + [30.0, -5.0, 2.0], np.array(ball.faces), np.full(len(ball.faces), -1), (), "mesh")
+    return Surface(np.array(ball.vertices) + CENTER, np.array(ball.faces), np.full(len(ball.faces), -1), (), "mesh")
 
 
 def open_box(box: Surface) -> Surface:
@@ -57,18 +60,18 @@ def test_clearance_in_a_box_is_the_closed_form(box: Surface) -> None:
 
 def test_distance_to_a_sphere_mesh_is_that_of_brute_force(sphere: Surface) -> None:
     rng = np.random.default_rng(2)
-    points = np.array([30.0, -5.0, 2.0]) + rng.normal(0.0, 8.0, (200, 3))
+    points = CENTER + rng.normal(0.0, 8.0, (200, 3))
     wall = WallDistance(sphere)
     exact = brute_force_distance(points, sphere.vertices[sphere.faces])
     np.testing.assert_allclose(wall.distance(points), exact, atol=1e-12)
     # The sphere lies outside its polyhedron by less than the sagitta of its 1,280 facets, 0.07 mm.
-    gap = 10.0 - np.linalg.norm(points - [30.0, -5.0, 2.0], axis=1)
+    gap = 10.0 - np.linalg.norm(points - CENTER, axis=1)
     clear = np.abs(gap) > 0.2
     assert np.all(np.abs(wall.clearance(points) - gap)[clear] < 0.1)
 
 
 def test_nearest_names_the_face_and_the_foot_on_it(sphere: Surface) -> None:
-    points = np.array([30.0, -5.0, 2.0]) + np.random.default_rng(3).normal(0.0, 8.0, (50, 3))
+    points = CENTER + np.random.default_rng(3).normal(0.0, 8.0, (50, 3))
     distance, face, foot = WallDistance(sphere).nearest(points)
     np.testing.assert_allclose(np.linalg.norm(points - foot, axis=1), distance, atol=1e-12)
     own = [brute_force_distance(p[None], sphere.vertices[sphere.faces[[f]]])[0] for p, f in zip(points, face, strict=True)]
