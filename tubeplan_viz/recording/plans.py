@@ -83,7 +83,8 @@ def log_legend(sink: Sink, limits: Limits) -> None:
         name = entity.rpartition("/")[2]
         # The points show a run of a single iteration, which has no line.
         sink.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.8), static=True)
-        sink.log(entity, rr.SeriesPoints(names=name, colors=color, marker_sizes=2.2), static=True)
+        if name != "limit":
+            sink.log(entity, rr.SeriesPoints(names=name, colors=color, marker_sizes=2.6), static=True)
 
 
 def log_step(sink: Sink, step: PlanStep, limits: Limits, *, light: bool) -> None:

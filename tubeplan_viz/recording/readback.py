@@ -3,38 +3,55 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from segmentation.arrays import FloatArray, frozen_array
+from segmentation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from tubeplan_viz.geometry import SplineCurve
 from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind
 from tubeplan_viz.recording import entities as at
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RecordedIteration:
-    """One state of the path as a recording holds it.
+class RecordedPath:
+    """A path as a recording holds it.
+
+    Attributes
+    ----------
+    curve_points : (k, 3) float array, mm
+        The line drawn in 3D, in single precision.
+    features : tuple of Feature
+        Exact.
+    arc_length, curvature, clearance : (n,) float array, mm, 1/mm, mm
+        Exact; in a light recording the samples that were kept, in single precision.
+    flagged : tuple of FlaggedInterval
+        Exact; those of the curvature first.
+    flagged_samples : mapping of FlagKind to (n,) bool array
+        Which samples are drawn as flagged.
+    """
+
+    curve_points: FloatArray
+    features: tuple[Feature, ...]
+    arc_length: FloatArray
+    curvature: FloatArray
+    clearance: FloatArray
+    flagged: tuple[FlaggedInterval, ...]
+    flagged_samples: Mapping[FlagKind, BoolArray]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RecordedIteration(RecordedPath):
+    """One state of the path while planning.
 
     Attributes
     ----------
     index : int
-    curve_points : (k, 3) float array, mm
-        The line drawn in 3D, in single precision.
     curve : SplineCurve
         Exact: every point of the path can be computed again from it.
-    features : tuple of Feature
-        Exact.
-    arc_length, curvature, clearance : (n,) float array, mm, 1/mm, mm
-        Exact; in a light recording the samples that were kept.
-    flagged : tuple of FlaggedInterval
-        Exact.
-    flagged_samples : mapping of FlagKind to (n,) bool array
-        Which samples are drawn as flagged.
     facts : mapping of str to float
         ``curvature_max_per_mm``, ``clearance_min_mm`` and ``length_mm``, exact, and the counts ``features``, ``moved``
         and ``added``.
@@ -43,14 +60,7 @@ class RecordedIteration:
     """
 
     index: int
-    curve_points: FloatArray
     curve: SplineCurve
-    features: tuple[Feature, ...]
-    arc_length: FloatArray
-    curvature: FloatArray
-    clearance: FloatArray
-    flagged: tuple[FlaggedInterval, ...]
-    flagged_samples: Mapping[FlagKind, Any]
     facts: Mapping[str, float]
     convergence: Mapping[str, float]
 
@@ -68,6 +78,8 @@ class RecordedRun:
     timelines : tuple of str
     iterations : tuple of RecordedIteration
         In order of their index.
+    planned : RecordedPath or None
+        The planned path of result.json; None when there is none.
     decisions : tuple of (int, str, str)
         Iteration, level and text in the order logged.
     summary : str
@@ -82,9 +94,10 @@ class RecordedRun:
     entities: tuple[str, ...]
     timelines: tuple[str, ...]
     iterations: tuple[RecordedIteration, ...]
+    planned: RecordedPath | None
     decisions: tuple[tuple[int, str, str], ...]
     summary: str
-    walk_ticks: Any
+    walk_ticks: IntArray
     walk_points: FloatArray
 
 
@@ -127,6 +140,7 @@ def read_recording(path: Path) -> RecordedRun:
         entities=tuple(sorted({chunk.entity_path for chunk in chunks})),
         timelines=timelines,
         iterations=tuple(_iteration(table, index) for index in indices),
+        planned=RecordedPath(**_path(table, at.ARC_LENGTH, 0)) if table.rows(at.CURVE, at.ARC_LENGTH) else None,
         decisions=tuple(table.decisions()),
         summary=str(summaries[max(summaries)]["TextDocument:text"][0]) if summaries else "",
         walk_ticks=frozen_array(ticks, (None,), "walk_ticks", dtype=np.int64),
@@ -187,29 +201,38 @@ def _iteration(table: _Table, index: int) -> RecordedIteration:
     for name in ("features", "moved", "added"):
         facts[name] = float(row(f"{at.COUNTS}/{name}")["Scalars:scalars"][0])
     spline = row(at.SPLINE)
-    profiles = {kind: _profile(row, kind) for kind in FlagKind}
-    arc_length, curvature, curvature_flagged = profiles[FlagKind.CURVATURE]
-    _, clearance, clearance_flagged = profiles[FlagKind.CLEARANCE]
-    strips = row(at.CURVE)["LineStrips3D:strips"]
+    control_points = np.array(spline["control_points_mm"]).reshape(-1, 3)
     convergence = {name: row(f"{at.CONVERGENCE}/{name}") for name in ("curvature", "clearance", "limit")}
     return RecordedIteration(
+        **_path(table, at.ITERATION, index),
         index=index,
-        curve_points=_points([point for strip in strips for point in strip]),
-        curve=SplineCurve(
-            int(spline["degree"][0]), np.array(spline["knots"]), np.array(spline["control_points_mm"]).reshape(-1, 3)
-        ),
-        features=_features(row(at.FEATURES)),
-        arc_length=arc_length,
-        curvature=curvature,
-        clearance=clearance,
-        flagged=tuple(flag for kind in FlagKind for flag in _flags(row(at.flagged_path(kind)), kind)),
-        flagged_samples={FlagKind.CURVATURE: curvature_flagged, FlagKind.CLEARANCE: clearance_flagged},
+        curve=SplineCurve(int(spline["degree"][0]), np.array(spline["knots"]), control_points),
         facts=facts,
         convergence={name: float(value["Scalars:scalars"][0]) for name, value in convergence.items() if value},
     )
 
 
-def _profile(row: Any, kind: FlagKind) -> tuple[FloatArray, FloatArray, Any]:
+def _path(table: _Table, timeline: str, tick: int) -> dict[str, Any]:
+    """The fields of `RecordedPath` at one tick."""
+
+    def row(entity: str) -> dict[str, Any]:
+        return table.rows(entity, timeline).get(tick, {})
+
+    profiles = {kind: _profile(row, kind) for kind in FlagKind}
+    arc_length, curvature, bent = profiles[FlagKind.CURVATURE]
+    _, clearance, close = profiles[FlagKind.CLEARANCE]
+    return {
+        "curve_points": _points([point for strip in row(at.CURVE)["LineStrips3D:strips"] for point in strip]),
+        "features": _features(row(at.FEATURES)),
+        "arc_length": arc_length,
+        "curvature": curvature,
+        "clearance": clearance,
+        "flagged": tuple(flag for kind in FlagKind for flag in _flags(row(at.flagged_path(kind)), kind)),
+        "flagged_samples": {FlagKind.CURVATURE: bent, FlagKind.CLEARANCE: close},
+    }
+
+
+def _profile(row: Callable[[str], dict[str, Any]], kind: FlagKind) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Arc lengths, values and flags of one plot, its two bar series merged in order of arc length."""
     parts = [row(at.profile_path(kind, part)) for part in ("ok", "flagged")]
     s = [_tensor(part.get("BarChart:abscissa")) for part in parts]

@@ -44,6 +44,18 @@ def test_features_flags_and_facts_read_back_exactly(run: Any, recorded: Recorded
         }
 
 
+def test_the_planned_path_reads_back_as_result_json_has_it(run: Any, recorded: RecordedRun) -> None:
+    planned, path = recorded.planned, run.result["path"]
+    assert planned is not None
+    assert planned.arc_length.tolist() == path["s_mm"]
+    assert planned.curvature.tolist() == path["curvature_per_mm"]
+    assert planned.clearance.tolist() == path["clearance_mm"]
+    assert [feature.point.tolist() for feature in planned.features] == [
+        feature["point_mm"] for feature in run.result["feature_points"]
+    ]
+    assert planned.flagged == ()
+
+
 def test_the_run_flags_both_limits_first_and_none_at_last(run: Any) -> None:
     # Else the tests around it would compare empty lists.
     assert {flag.kind for flag in run.steps[0].flagged} == set(FlagKind)
