@@ -9,7 +9,6 @@ import trimesh
 from segmentation.mesh import Cap, Surface
 from tubeplan_viz.geometry import WallDistance
 
-
 CENTER = np.array([30.0, -5.0, 2.0])
 
 
