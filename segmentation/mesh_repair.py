@@ -168,7 +168,7 @@ def separate_sheets(vertices: FloatArray, faces: IntArray, name: str) -> tuple[F
     Raises
     ------
     SurfaceError
-        If a third sheet truly grows out of the wall, so that no cut makes it two-sided.
+        If a third sheet grows out of the wall, so that no cut leaves it whole and two-sided.
     """
     edges = edge_map(faces)
     crowded = edges.count > 2
@@ -195,7 +195,9 @@ def separate_sheets(vertices: FloatArray, faces: IntArray, name: str) -> tuple[F
             extra.append(vertices[vertex])
     faces = corner.reshape(-1, 3)
     vertices = np.concatenate([vertices, np.array(extra).reshape(-1, 3)])
-    if (edge_map(faces).count > 2).any():
+    after = edge_map(faces)
+    # Sheets that only touch come apart without a new border; a fin or a membrane does not.
+    if (after.count > 2).any() or (after.count == 1).sum() > (edges.count == 1).sum() or (edges.count[crowded] % 2).any():
         raise SurfaceError(
             f"{name}: more than two faces meet at {int(crowded.sum())} edges, the first at "
             f"({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}); a wall has two sides: remove inner sheets or re-mesh it"
