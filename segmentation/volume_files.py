@@ -69,7 +69,7 @@ def read_volume_file(path: Path) -> VolumeFile:
     """
     if not path.is_file():
         raise VolumeError(f"{path.name}: there is no such file; check the path")
-    is_nifti = ".nii" in path.name.lower()
+    is_nifti = path.name.lower().endswith((".nii", ".nii.gz"))
     files = [path] if is_nifti else [path, *_data_files(path)]
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))

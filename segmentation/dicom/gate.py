@@ -6,7 +6,6 @@ at the first. Pixel-level rules are in `hounsfield` and `outliers`.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 
@@ -166,7 +165,7 @@ def _rescale_faults(slices: Sequence[SliceHeader]) -> Iterator[str]:
         except SeriesError as error:
             yield str(error)
             return
-        if not (math.isfinite(slope) and slope > 0 and math.isfinite(intercept)):
+        if slope <= 0:
             yield f"{slice_.name} has rescale slope {slope:g} and intercept {intercept:g}, expected a slope above 0"
             return
         if slice_.rescale_type.upper() not in ("", "HU", "US", "HOUNSFIELD UNIT"):

@@ -6,6 +6,7 @@ the gate decides what that means.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
@@ -174,7 +175,7 @@ def _single(dataset: Dataset, file: DicomFile, sop_class: str) -> SliceHeader:
         sop_class=sop_class,
         instance=_text(dataset, "SOPInstanceUID"),
         modality=_text(dataset, "Modality"),
-        image_type=tuple(str(value).upper() for value in dataset.get("ImageType") or ()),
+        image_type=_words(dataset, "ImageType"),
         patient=(_text(dataset, "PatientID"), _text(dataset, "PatientName"), _text(dataset, "PatientBirthDate")),
         study=_text(dataset, "StudyInstanceUID"),
         series=_text(dataset, "SeriesInstanceUID"),
@@ -224,12 +225,11 @@ def _frame(plain: SliceHeader, groups: tuple[Dataset, Dataset], index: int, coun
     measures = group("PixelMeasuresSequence")
     content = group("FrameContentSequence")
     rays = group("CTXRayDetailsSequence")
-    kind = group("CTImageFrameTypeSequence").get("FrameType")
     return replace(
         plain,
         frame=index,
         frames=count,
-        image_type=tuple(str(value).upper() for value in kind) if kind else plain.image_type,
+        image_type=_words(group("CTImageFrameTypeSequence"), "FrameType") or plain.image_type,
         acquisition=_integer(content, "FrameAcquisitionNumber"),
         instance_number=_integer(content, "InStackPositionNumber"),
         images_in_acquisition=None,
@@ -275,6 +275,10 @@ def _text(dataset: Dataset, keyword: str) -> str:
     return str(value).strip()
 
 
+def _words(dataset: Dataset, keyword: str) -> tuple[str, ...]:
+    return tuple(word for word in _text(dataset, keyword).upper().split("\\") if word)
+
+
 def _numbers(dataset: Dataset, keyword: str, count: int) -> tuple[float, ...] | None:
     try:
         value = dataset.get(keyword)
@@ -288,9 +292,9 @@ def _numbers(dataset: Dataset, keyword: str, count: int) -> tuple[float, ...] | 
 
 def _number(dataset: Dataset, keyword: str) -> float | None:
     numbers = _numbers(dataset, keyword, 1)
-    return numbers[0] if numbers else None
+    return numbers[0] if numbers and math.isfinite(numbers[0]) else None
 
 
 def _integer(dataset: Dataset, keyword: str) -> int | None:
     number = _number(dataset, keyword)
-    return int(number) if number is not None and number == number and abs(number) < 1 << 31 else None
+    return int(number) if number is not None and abs(number) < 1 << 31 else None

@@ -40,7 +40,7 @@ class SeriesInfo:
     def __str__(self) -> str:
         first = self.headers[0]
         what = first.modality or "no modality"
-        size = f"{len(self.headers)} images {first.columns} x {first.rows}"
+        size = f"{len(self.headers)} images {first.columns} x {first.rows}" if first.rows else f"{len(self.headers)} objects"
         extra = [f"kernel {printable(first.kernel)}"] if first.kernel else []
         extra += [f"SeriesNumber {self.series_number}"] if self.series_number is not None else []
         extra += [self.kind] if self.kind != "CT" else []

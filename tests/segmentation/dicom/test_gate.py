@@ -175,7 +175,7 @@ def test_numbers_that_are_none_are_refused(keyword, value, maker, tmp_path):
     else:
         raw = raw.replace(old.encode(), new[: len(old)].encode())
     target.write_bytes(raw)
-    with pytest.raises(SeriesError, match=r"IM003\.dcm has (no usable|rescale slope (nan|inf)|another pixel)"):
+    with pytest.raises(SeriesError, match=r"IM003\.dcm has (no usable|another pixel)"):
         read_series(folder)
 
 

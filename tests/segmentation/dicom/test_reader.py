@@ -192,6 +192,22 @@ def test_a_localizer_is_left_out_and_said(maker, tmp_path, lies_in_place):
     assert [warning for warning in read.warnings if "localizer was left out" in warning]
 
 
+def test_objects_that_are_no_images_are_left_out_and_said(maker, tmp_path, lies_in_place):
+    folder = maker.save(tmp_path / "case", maker.slices())
+    report = maker.slices(SOPClassUID="1.2.840.10008.5.1.4.1.1.88.67", Modality="SR", SeriesNumber=99)[0]
+    for keyword in ("Rows", "Columns", "PixelData", "ImageType", "PixelSpacing", "ImagePositionPatient"):
+        delattr(report, keyword)
+    maker.save(folder, [report], names=["dose"])
+    read = read_series(folder)
+    lies_in_place(read.volume)
+    assert read.warnings == ("series 2: SR, 1 objects, kernel B30f, SeriesNumber 99, not CT was left out",)
+
+
+def test_a_one_word_image_type_still_tells_a_localizer(maker, tmp_path):
+    folder = maker.save(tmp_path / "case", maker.slices(ImageType="LOCALIZER"))
+    assert [series.kind for series in scan_folder(folder)] == ["localizer"]
+
+
 def test_one_of_several_series_is_named(maker, tmp_path, lies_in_place):
     folder = tmp_path / "case"
     for number, kernel in ((2, "B30f"), (3, "B70f")):

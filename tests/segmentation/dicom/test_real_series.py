@@ -105,3 +105,9 @@ def test_two_damaged_neighbours_are_both_named(trachea):
     faults, doubts = judge_slices(voxels, [f"slice {number}" for number in range(len(voxels))])
     assert [fault.split(" is")[0] for fault in faults] == ["slice 14", "slice 15"]
     assert doubts == []
+
+
+def test_blank_ends_of_an_image_without_noise_are_no_damage():
+    voxels = np.full((20, 40, 40), 40, dtype=np.int16)
+    voxels[3:17, 18:22, 18:22] = 300
+    assert judge_slices(voxels, [str(k) for k in range(20)]) == ([], [])
