@@ -15,7 +15,7 @@ import tomli_w
 from segmentation.errors import CaseError
 from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.plan import Limits
-from tubeplan_viz.tube import FeatureSettings, RefineSettings, TubeSettings
+from tubeplan_viz.tube import FeatureSettings, OptimalSettings, RefineSettings, TubeSettings
 
 Place = tuple[float, float, float] | str
 HuLimit = float | str | None
@@ -90,6 +90,7 @@ class Case:
     planner: PlannerCase = field(default_factory=PlannerCase)
     features: FeatureSettings = field(default_factory=FeatureSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
+    optimal: OptimalSettings = field(default_factory=OptimalSettings)
     centerline: CenterlineSettings = field(default_factory=CenterlineSettings)
 
     @property
@@ -101,6 +102,7 @@ class Case:
             centerline=self.centerline,
             features=self.features,
             refine=self.refine,
+            optimal=self.optimal,
         )
 
 
@@ -118,6 +120,11 @@ TUBE_KEYS: dict[str, tuple[str, str]] = {
     "unchanged_rounds": ("refine", "unchanged_rounds"),
     "max_rounds": ("refine", "max_rounds"),
     "aim": ("refine", "aim"),
+    "objective": ("optimal", "objective"),
+    "control_spacing_mm": ("optimal", "control_spacing"),
+    "keep": ("optimal", "keep"),
+    "start_direction": ("optimal", "start_direction"),
+    "goal_direction": ("optimal", "goal_direction"),
     "centerline_step_mm": ("centerline", "step"),
     "centerline_smoothing_mm": ("centerline", "smoothing"),
     "centerline_omega": ("centerline", "omega"),
@@ -166,22 +173,10 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     check_keys(limits, ("curvature_max", "clearance_min"), f"{name} [limits]", "key")
     tube = dict(table.get("tube", {}))
     check_keys(tube, list(TUBE_KEYS), f"{name} [tube]", "key")
-    parts: dict[str, dict[str, Any]] = {"features": {}, "refine": {}, "centerline": {}}
+    parts: dict[str, dict[str, Any]] = {"features": {}, "refine": {}, "optimal": {}, "centerline": {}}
     for key, value in tube.items():
         part, attribute = TUBE_KEYS[key]
-        wanted = {
-            "scans": tuple,
-            "slice_pairs": int,
-            "unchanged_rounds": int,
-            "max_rounds": int,
-            "neighbourhood": int,
-            "t5": int,
-            "t6": int,
-            "t7": int,
-        }
-        parts[part][attribute] = (
-            tuple(value) if wanted.get(key) is tuple else wanted.get(key, float)(number(value, f"{name} [tube] {key}"))
-        )
+        parts[part][attribute] = tube_value(key, value, f"{name} [tube] {key}")
     return Case(
         input=InputCase(**inputs),
         limits=Limits(
@@ -191,8 +186,22 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         planner=PlannerCase(**planner),
         features=FeatureSettings(**parts["features"]),
         refine=RefineSettings(**parts["refine"]),
+        optimal=OptimalSettings(**parts["optimal"]),
         centerline=CenterlineSettings(**parts["centerline"]),
     )
+
+
+def tube_value(key: str, value: Any, where: str) -> Any:
+    """A value of the table [tube] in the type of its setting."""
+    if key == "scans":
+        return tuple(value)
+    if key == "objective":
+        return text(value, where)
+    if key in ("start_direction", "goal_direction"):
+        return point(value, where)
+    whole = ("slice_pairs", "unchanged_rounds", "max_rounds", "neighbourhood", "t5", "t6", "t7")
+    found = number(value, where)
+    return int(found) if key in whole else found
 
 
 def read_case(path: Path) -> Case:

@@ -43,7 +43,12 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
     "smoothing": ("input", "smoothing_mm", float, typer.Option("--smoothing", help="Gaussian before growing, mm; 0 for none.")),
     "start": ("planner", "start", str, typer.Option("--start", help="X,Y,Z in mm, or a label from `tubeplan endpoints`.")),
     "goal": ("planner", "goal", str, typer.Option("--goal", help="X,Y,Z in mm, or a label from `tubeplan endpoints`.")),
-    "method": ("planner", "method", str, typer.Option("--method", help="feature_iteration (Dai et al. 2024).")),
+    "method": (
+        "planner",
+        "method",
+        str,
+        typer.Option("--method", help="feature_iteration (Dai et al. 2024) or optimal (proved)."),
+    ),
     "curvature_max": ("limits", "curvature_max", float, typer.Option("--curvature-max", help="Largest curvature, 1/mm [0.125].")),
     "clearance_min": (
         "limits",
@@ -54,6 +59,12 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
     "closed_ends": ("planner", "closed_ends", bool, typer.Option("--closed-ends", help="Count end caps as wall.")),
     "rng_seed": ("planner", "rng_seed", int, typer.Option("--rng-seed", help="Seed of all randomness.")),
     "time_budget": ("planner", "time_budget", float, typer.Option("--time-budget", help="No further round after this many s.")),
+    "objective": (
+        "tube",
+        "objective",
+        str,
+        typer.Option("--objective", help="What is best for --method optimal: clearance, length or curvature."),
+    ),
     "scans": (
         "tube",
         "scans",

@@ -15,13 +15,14 @@ from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from tubeplan_viz.centerline import Centerline, CenterlineSettings, VoronoiGraph, trace_centerline, voronoi_graph
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits, NoPathError, Plan, PlanStatus, PlanStep
+from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind, Limits, NoPathError, Plan, PlanStatus, PlanStep
 from tubeplan_viz.profile import FLAG_SPACING, certify, flag_stretches, measure_path, path_metrics
 from tubeplan_viz.tube.features import FeatureSettings
+from tubeplan_viz.tube.optimal import OptimalSettings, Proposal, optimise, passage_of
 from tubeplan_viz.tube.refine import RefineSettings, Round, first_features, refine
 from tubeplan_viz.tube.slices import SliceClearance
 
-METHODS = ("feature_iteration",)
+METHODS = ("feature_iteration", "optimal")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,7 @@ class TubeSettings:
     centerline: CenterlineSettings = field(default_factory=CenterlineSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
+    optimal: OptimalSettings = field(default_factory=OptimalSettings)
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -121,9 +123,19 @@ def place(point: FloatArray) -> str:
 def tube_rounds(problem: TubeProblem) -> Iterator[Round]:
     """The bare iteration, without measuring each round for the reviewer."""
     settings = problem.settings
+    if settings.method == "optimal":
+        passage = passage_of(problem.wall, problem.centerline, problem.limits)
+        return (round_of(index, proposal) for index, proposal in enumerate(optimise(passage, settings.optimal)))
     slices = SliceClearance(problem.surface, problem.wall, limit=problem.limits.clearance_min, pairs=settings.refine.slice_pairs)
     features = first_features(problem.centerline, settings.features)
     return refine(features, problem.centerline, slices, problem.limits, settings.refine)
+
+
+def round_of(index: int, proposal: Proposal) -> Round:
+    """A round of the optimal refinement: it has no features but its ends, and moves all control points."""
+    start, goal = proposal.curve([0.0, 1.0])
+    features = (Feature(kind=FeatureKind.START, point=start, u=0.0), Feature(kind=FeatureKind.GOAL, point=goal, u=1.0))
+    return Round(index=index, curve=proposal.curve, features=features, moved=0, added=0, decisions=proposal.decisions)
 
 
 def tube_steps(problem: TubeProblem, *, time_budget: float | None = None) -> Iterator[PlanStep]:

@@ -1,0 +1,379 @@
+"""One step of the optimal refinement: a second-order-cone programme around the current path."""
+
+# Strategy: the path is a cubic B-spline on fixed knots; unknown are the moves of its inner
+# control points. The distance to a wall face is convex in the point, so its tangent plane
+# bounds it from below and a clearance kept in the programme is kept in truth. So is a
+# curvature: |F' x F''| / |F'|^3 <= |F''| / |F'|^2, where F'' is linear in the unknowns and
+# |F'|^2 has a tangent from below, which makes a second-order cone that lies within the true
+# limit; at even speed, which the unknowns are free to take, nothing is lost by it. The move
+# of each control point is held within a box, a share of the clearance about it.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import clarabel
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.sparse import coo_matrix, csc_matrix
+
+from segmentation.arrays import FloatArray, IntArray
+from tubeplan_viz.geometry import WallDistance
+
+# Directions around the path in which wall is looked for, and how far out from it, as a
+# share of the clearance: far enough that the nearest face lies in that direction.
+DIRECTIONS = 8
+PROBE = 0.7
+NEAREST = 4
+# The path's speed may not fall under this share of its mean: a near-cusp hides between samples.
+SPEED_MIN = 0.4
+# Rows for the mean of the clearance next to its least value keep the answer unique.
+MEAN_SHARE = 0.02
+CONE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Values and derivatives of the four B-splines that live at each parameter.
+
+    Attributes
+    ----------
+    first : (k,) int array
+        Index of the first of the four control points.
+    values : (3, k, 4) float array
+        Of the function, its first and its second derivative.
+    """
+
+    first: IntArray
+    values: FloatArray
+
+    @classmethod
+    def at(cls, knots: FloatArray, u: FloatArray) -> Basis:
+        """The basis of clamped cubic `knots` at parameters `u`, (k,)."""
+        n = len(knots) - 4
+        first = np.clip(np.searchsorted(knots, u, side="right") - 4, 0, n - 4).astype(np.int64)
+        spline = BSpline(knots, np.eye(n), 3)
+        columns = first[:, None] + np.arange(4)
+        values = [np.take_along_axis(np.asarray(spline(u, nu=order)), columns, axis=1) for order in range(3)]
+        return cls(first, np.stack(values))
+
+    def curve(self, control: FloatArray, order: int = 0) -> FloatArray:
+        """Points or derivatives of the spline with these control points, (k, 3)."""
+        return np.asarray(np.einsum("kj,kja->ka", self.values[order], control[self.first[:, None] + np.arange(4)]))
+
+
+@dataclass(frozen=True, eq=False)
+class WallRows:
+    """Wall points around samples of the path and their distances.
+
+    Attributes
+    ----------
+    sample : (r,) int array
+        The sample that each row belongs to.
+    normal : (r, 3) float array
+        Unit vector from the wall point to the sample.
+    distance : (r,) float array, mm
+    clearance : (m,) float array, mm
+        Least distance of each sample.
+    """
+
+    sample: IntArray
+    normal: FloatArray
+    distance: FloatArray
+    clearance: FloatArray
+
+
+def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance) -> WallRows:
+    """The nearest faces of each point, and those that lie in `DIRECTIONS` directions across the path.
+
+    All are faces of the wall and their distances exact; that none nearer was missed is left
+    to the certificate.
+    """
+    triangles = wall.triangles
+    m = len(points)
+    near = triangles.likely_nearest(points, NEAREST)
+    count = near.shape[1]
+    gap = np.linalg.norm(points[:, None] - _closest(wall, points, near), axis=2).min(axis=1)
+    side, up = across(tangents)
+    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    offset = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
+    probes = points[:, None] + PROBE * gap[:, None, None] * offset
+    around = triangles.likely_nearest(probes.reshape(-1, 3)).reshape(m, DIRECTIONS)
+    faces = np.sort(np.concatenate([near, around], axis=1), axis=1)
+    fresh = np.ones((m, count + DIRECTIONS), dtype=bool)
+    fresh[:, 1:] = faces[:, 1:] != faces[:, :-1]
+    sample, column = np.nonzero(fresh)
+    foot = triangles.closest(points[sample], faces[sample, column])
+    away = points[sample] - foot
+    distance = np.linalg.norm(away, axis=1)
+    clearance = np.full(m, np.inf)
+    np.minimum.at(clearance, sample, distance)
+    return WallRows(sample.astype(np.int64), away / np.maximum(distance, 1e-12)[:, None], distance, clearance)
+
+
+def _closest(wall: WallDistance, points: FloatArray, faces: IntArray) -> FloatArray:
+    count = faces.shape[1]
+    return wall.triangles.closest(np.repeat(points, count, axis=0), faces.ravel()).reshape(len(points), count, 3)
+
+
+def across(tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors perpendicular to each tangent and to each other, (k, 3) each."""
+    unit = tangents / np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
+    side = np.cross(unit, helper)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return side, np.cross(unit, side)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aim:
+    """What a step is to reach.
+
+    Attributes
+    ----------
+    goal : {"least", "mean", "length", "curvature"}
+        Raise the least clearance, raise the mean clearance, shorten, or straighten.
+    curvature : float, 1/mm
+        Limit on the curvature; for "curvature" only the unit it is measured in.
+    floor : (m,) float array or 0, mm
+        Clearance that each sample is to keep; one that is under it may not lose more. Not for "least".
+    """
+
+    goal: str
+    curvature: float
+    floor: FloatArray | float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class StepProblem:
+    """The path at hand and where it is held to its limits.
+
+    Attributes
+    ----------
+    control : (n, 3) float array, mm
+    clearance_basis, curvature_basis : Basis
+        At the samples for each limit.
+    rows : WallRows
+        Of the clearance samples.
+    fixed_directions : (start, goal) of bool
+        Whether the path keeps its direction there.
+    """
+
+    control: FloatArray
+    clearance_basis: Basis
+    curvature_basis: Basis
+    rows: WallRows
+    fixed_directions: tuple[bool, bool]
+
+    @cached_property
+    def _unknowns(self) -> int:
+        return 3 * (len(self.control) - 2)
+
+    def solve(self, aim: Aim, radius: FloatArray, penalty: float) -> tuple[FloatArray, float] | None:
+        """Control points after the best step within the boxes, and the gain it promises.
+
+        Parameters
+        ----------
+        aim : Aim
+        radius : (n,) float array, mm
+            Half the edge of each control point's box.
+        penalty : float
+            Cost of curvature beyond its limit, per unit of its share.
+
+        Returns
+        -------
+        ((n, 3) array, float) or None
+            None when the solver finds no step: the trust region is to be shrunk.
+        """
+        samples = len(self.rows.clearance)
+        unknowns, least, excess = self._unknowns, self._unknowns + samples, self._unknowns + samples + 1
+        width = unknowns + samples + 2
+        # Blocks of A x + s = b with s in the cones: (rows, columns, values, b).
+        linear = [
+            self._wall_block(unknowns),
+            self._floor_block(aim, unknowns, least),
+            self._speed_block(),
+            self._box_block(radius),
+            (np.array([0]), np.array([excess]), np.array([-1.0]), np.array([0.0])),
+        ]
+        equal = self._direction_blocks()
+        cones_block = self._curvature_block(aim, excess)
+        blocks = [*equal, *linear, cones_block]
+        counts = [len(block[3]) for block in blocks]
+        offsets = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        rows = np.concatenate([block[0] + offset for block, offset in zip(blocks, offsets, strict=True)])
+        columns = np.concatenate([block[1] for block in blocks])
+        values = np.concatenate([block[2] for block in blocks])
+        matrix = csc_matrix(coo_matrix((values, (rows, columns)), shape=(sum(counts), width)))
+        right = np.concatenate([block[3] for block in blocks])
+        zero = sum(len(block[3]) for block in equal)
+        cones = [clarabel.ZeroConeT(zero)] if zero else []
+        cones += [clarabel.NonnegativeConeT(sum(len(block[3]) for block in linear))]
+        cones += [clarabel.SecondOrderConeT(CONE)] * (counts[-1] // CONE)
+        quadratic, cost, base = self._cost(aim, width, unknowns, least, excess, penalty)
+        solution = clarabel.DefaultSolver(quadratic, cost, matrix, right, cones, solver_settings()).solve()
+        if str(solution.status) not in ("Solved", "AlmostSolved"):
+            return None
+        x = np.asarray(solution.x)
+        control = np.array(self.control)
+        control[1:-1] += x[:unknowns].reshape(-1, 3)
+        return control, float(base - solution.obj_val)
+
+    def _cost(
+        self, aim: Aim, width: int, unknowns: int, least: int, excess: int, penalty: float
+    ) -> tuple[csc_matrix, FloatArray, float]:
+        """Quadratic and linear cost, and the cost of standing still but for the penalty.
+
+        The least clearance t is held at zero from above, and by its cost from below, where it is not the goal.
+        """
+        cost = np.zeros(width)
+        samples = least - unknowns
+        clearance = self.rows.clearance
+        cost[excess] = penalty
+        cost[least] = -1e-3
+        empty = csc_matrix((width, width))
+        if aim.goal == "least":
+            cost[least] = -1.0
+            cost[unknowns:least] = -MEAN_SHARE / samples
+            return empty, cost, -float(clearance.min() + MEAN_SHARE * clearance.mean())
+        if aim.goal == "mean":
+            cost[unknowns:least] = -1.0 / samples
+            return empty, cost, -float(clearance.mean())
+        if aim.goal == "curvature":
+            cost[excess] = 1.0
+            return empty, cost, self.acceleration_share(aim.curvature)
+        # The integral of |F'|^2 over u is least for the shortest path at even speed, and then its square.
+        speed = self.curvature_basis.curve(self.control, 1)
+        gradient, hessian = self._energy()
+        length = float(np.linalg.norm(speed, axis=1).mean())
+        cost[:unknowns] = gradient / (2.0 * length)
+        quadratic = coo_matrix((hessian.data / (2.0 * length), (hessian.row, hessian.col)), shape=(width, width))
+        return csc_matrix(quadratic), cost, 0.0
+
+    def _energy(self) -> tuple[FloatArray, coo_matrix]:
+        """Gradient and upper half of the Hessian of the mean of |F'|^2 in the moves."""
+        basis = self.curvature_basis
+        k, n = len(basis.first), len(self.control)
+        rows = np.repeat(np.arange(k), 4)
+        columns = (basis.first[:, None] + np.arange(4)).ravel()
+        derivative = coo_matrix((basis.values[1].ravel(), (rows, columns)), shape=(k, n)).tocsr()
+        gram = (derivative.T @ derivative)[1:-1] * (2.0 / k)
+        gradient = np.asarray(gram @ self.control).ravel()
+        inner = coo_matrix(gram[:, 1:-1])
+        inner.sum_duplicates()
+        axis = np.repeat(np.arange(3), len(inner.data))
+        row, column = 3 * np.tile(inner.row, 3) + axis, 3 * np.tile(inner.col, 3) + axis
+        upper = row <= column
+        return gradient, coo_matrix((np.tile(inner.data, 3)[upper], (row[upper], column[upper])))
+
+    def _moves(self, row: IntArray, basis_row: IntArray, basis: Basis, weights: list[tuple[int, FloatArray]]) -> _Entries:
+        """Entries of rows that are linear in the path and its derivatives.
+
+        `weights` holds (order of derivative, (r, 3) gradient with respect to it).
+        """
+        values = np.zeros((len(row), 4, 3))
+        for order, gradient in weights:
+            values += basis.values[order][basis_row][:, :, None] * gradient[:, None, :]
+        control = basis.first[basis_row][:, None] + np.arange(4)
+        free = (control >= 1) & (control <= len(self.control) - 2)
+        columns = 3 * (control - 1)[:, :, None] + np.arange(3)
+        rows = np.broadcast_to(row[:, None, None], columns.shape)
+        keep = np.broadcast_to(free[:, :, None], columns.shape)
+        return rows[keep], columns[keep], values[keep]
+
+    def _wall_block(self, unknowns: int) -> _Block:
+        """s_i <= distance to each tangent plane of the wall: s_i - n . dF_i <= d."""
+        sample, normal, distance = self.rows.sample, self.rows.normal, self.rows.distance
+        row = np.arange(len(sample))
+        r, c, v = self._moves(row, sample, self.clearance_basis, [(0, -normal)])
+        return np.concatenate([r, row]), np.concatenate([c, unknowns + sample]), np.concatenate([v, np.ones(len(row))]), distance
+
+    def _floor_block(self, aim: Aim, unknowns: int, least: int) -> _Block:
+        """s_i >= t for the least clearance; s_i >= its floor otherwise, and t fixed by its own floor."""
+        clearance = self.rows.clearance
+        m = len(clearance)
+        row = np.arange(m)
+        floor = -np.minimum(aim.floor, clearance)
+        if aim.goal != "least":
+            return np.append(row, m), np.append(unknowns + row, least), np.append(-np.ones(m), 1.0), np.append(floor, 0.0)
+        rows, columns = np.concatenate([row, row]), np.concatenate([unknowns + row, np.full(m, least)])
+        return rows, columns, np.concatenate([-np.ones(m), np.ones(m)]), np.zeros(m)
+
+    def _speed_block(self) -> _Block:
+        """T . F' stays above a share of the mean speed: no cusp, no turning back."""
+        first = self.curvature_basis.curve(self.control, 1)
+        speed = np.linalg.norm(first, axis=1)
+        tangent = first / np.maximum(speed, 1e-12)[:, None]
+        row = np.arange(len(first))
+        r, c, v = self._moves(row, row, self.curvature_basis, [(1, -tangent)])
+        # In units of the mean speed, like the other rows of order one.
+        mean = float(speed.mean())
+        return r, c, v / mean, (speed - np.minimum(SPEED_MIN * mean, 0.9 * speed)) / mean
+
+    def _box_block(self, radius: FloatArray) -> _Block:
+        """|move| <= radius for every coordinate."""
+        column = np.arange(self._unknowns)
+        bound = np.repeat(radius[1:-1], 3)
+        ones = np.ones(self._unknowns)
+        return (
+            np.arange(2 * self._unknowns),
+            np.concatenate([column, column]),
+            np.concatenate([ones, -ones]),
+            np.concatenate([bound, bound]),
+        )
+
+    def _direction_blocks(self) -> list[_Block]:
+        """The second and last but one control points move along the path's end tangents alone."""
+        blocks: list[_Block] = []
+        for fixed, end, inner in ((self.fixed_directions[0], 0, 1), (self.fixed_directions[1], -1, len(self.control) - 2)):
+            if not fixed:
+                continue
+            sides = across((self.control[inner] - self.control[end])[None])
+            columns = 3 * (inner - 1) + np.arange(3)
+            blocks.append((np.repeat([0, 1], 3), np.tile(columns, 2), np.concatenate([sides[0][0], sides[1][0]]), np.zeros(2)))
+        return blocks
+
+    def _curvature_block(self, aim: Aim, excess: int) -> _Block:
+        """Cones |F''| <= limit (1 + excess) |F'|^2 with the square's tangent, in units of limit times square."""
+        basis = self.curvature_basis
+        first = basis.curve(self.control, 1)
+        second = basis.curve(self.control, 2)
+        speed = np.maximum(np.linalg.norm(first, axis=1), 1e-9)[:, None]
+        unit = aim.curvature * speed**2
+        k = len(first)
+        heads = CONE * np.arange(k)
+        right = np.zeros(CONE * k)
+        # |F'|^2 >= (T . F')^2 >= |F0'|^2 + 2 F0' . dF'
+        scale = 1.0 if aim.goal != "curvature" else self.acceleration_share(aim.curvature)
+        right[heads] = 0.0 if aim.goal == "curvature" else 1.0
+        r, c, v = self._moves(heads, np.arange(k), basis, [(1, -2.0 * scale * first / speed**2)])
+        rows, columns, values = [heads, r], [np.full(k, excess), c], [-np.ones(k), v]
+        for axis in range(3):
+            gradient = np.zeros((k, 3))
+            gradient[:, axis] = -1.0
+            r, c, v = self._moves(heads + 1 + axis, np.arange(k), basis, [(2, gradient / unit)])
+            rows.append(r)
+            columns.append(c)
+            values.append(v)
+            right[heads + 1 + axis] = second[:, axis] / unit[:, 0]
+        return np.concatenate(rows), np.concatenate(columns), np.concatenate(values), right
+
+    def acceleration_share(self, limit: float) -> float:
+        """Largest |F''| / |F'|^2 of the samples over `limit`; no less than the curvature's share."""
+        first, second = self.curvature_basis.curve(self.control, 1), self.curvature_basis.curve(self.control, 2)
+        return float((np.linalg.norm(second, axis=1) / np.einsum("ka,ka->k", first, first)).max() / limit)
+
+
+_Entries = tuple[IntArray, IntArray, FloatArray]
+_Block = tuple[IntArray, IntArray, FloatArray, FloatArray]
+
+
+def solver_settings() -> clarabel.DefaultSettings:
+    """Clarabel, silent, to the precision that a step needs, on one thread so that results repeat."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
+    settings.tol_feas = 1e-7
+    settings.max_iter = 60
+    return settings
