@@ -9,122 +9,16 @@ Colours come from the style sheet through classes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from reports.numbers import printed
+from reports.svg import LEFT, RIGHT, Axis, Width, frame, grid, nice_step, path_axis, step_digits, tag, trace
 from segmentation.arrays import FloatArray
-
-LEFT, RIGHT = 40, 12  # margins shared by everything that has the path along x: one cursor runs through all
-
-
-@dataclass(frozen=True)
-class Width:
-    """One drawing of a chart: the class that shows it and its inner widths in CSS px."""
-
-    name: str
-    plot: int
-    strip: int
-    half: int
-
-
-WIDTHS = (Width("wide", 740, 1190, 600), Width("narrow", 340, 332, 350), Width("print", 450, 756, 372))
-
-
-def nice_step(span: float, count: int) -> float:
-    """The least of 1, 2, 2.5, 5 times a power of ten that cuts `span` into at most `count` parts.
-
-    Examples
-    --------
-    >>> nice_step(124.9, 13), nice_step(0.2, 4)
-    (10.0, 0.05)
-    """
-    rough = span / count
-    power = 10.0 ** math.floor(math.log10(rough))
-    return float(next(power * m for m in (1.0, 2.0, 2.5, 5.0, 10.0) if power * m >= rough * (1.0 - 1e-9)))
-
-
-def step_digits(step: float) -> int:
-    """Decimals that print every multiple of `step` exactly."""
-    return next(digits for digits in range(9) if abs(round(step, digits) - step) < 1e-9 * max(step, 1e-9) or digits == 8)
-
-
-def tag(_name: str, _text: str | None = None, **attributes: object) -> Markup:
-    """One SVG element; ``class_`` and ``_`` in names are written ``class`` and ``-``."""
-    inside = "".join(f' {key.rstrip("_").replace("_", "-")}="{_attribute(value)}"' for key, value in attributes.items())
-    return Markup(f"<{_name}{inside}/>" if _text is None else f"<{_name}{inside}>{escape(_text)}</{_name}>")
-
-
-def _attribute(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.1f}".removesuffix(".0")
-    return str(value) if isinstance(value, int) else str(escape(value))
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A linear scale from values to drawing units."""
-
-    low: float
-    high: float
-    start: float
-    end: float
-
-    def __call__(self, value: float) -> float:
-        return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
-
-
-def trace(xs: FloatArray, ys: FloatArray, x: Axis, y: Axis) -> str:
-    """Path data of a polyline; points closer than half a unit apart keep only their extremes."""
-    px = x.start + (xs - x.low) / (x.high - x.low) * (x.end - x.start)
-    py = y.start + (np.clip(ys, min(y.low, y.high), max(y.low, y.high)) - y.low) / (y.high - y.low) * (y.end - y.start)
-    keep = np.zeros(len(px), bool)
-    column = np.floor(px / 1.5).astype(int)
-    for rows in np.split(np.arange(len(px)), np.flatnonzero(np.diff(column)) + 1):
-        keep[[rows[0], rows[-1], rows[py[rows].argmin()], rows[py[rows].argmax()]]] = True
-    return "M" + "L".join(f"{a:.1f} {b:.1f}" for a, b in zip(px[keep], py[keep], strict=True))
-
-
-def in_all_widths(draw: Callable[[Width], Markup]) -> Markup:
-    """The drawing for each of the three widths, one after the other."""
-    return Markup("\n").join(draw(width) for width in WIDTHS)
-
-
-def frame(width: Width, size: tuple[float, float], label: str, parts: Sequence[Markup], **attributes: object) -> Markup:
-    """An <svg> that says in words what it shows."""
-    box = f"0 0 {size[0]:g} {size[1]:g}"
-    more = Markup("").join(Markup(' {}="{}"').format(key.replace("_", "-"), value) for key, value in attributes.items())
-    return Markup('<svg class="for-{}" viewBox="{}" role="img" aria-label="{}"{}>{}</svg>').format(
-        width.name, box, label, more, Markup("").join(parts)
-    )
-
-
-def path_axis(length: float, x: Axis, y: float, room: float) -> list[Markup]:
-    """Ticks and figures in mm under a picture that has the path along x."""
-    step = nice_step(length, max(2, int(room / 52)))
-    digits = step_digits(step)
-    parts: list[Markup] = []
-    for k in range(int(length / step + 1e-9) + 1):
-        at = x(k * step)
-        parts.append(tag("line", class_="tick", x1=at, x2=at, y1=y, y2=y + 4))
-        text = f"{k * step:.{digits}f}" + ("" if k else " mm")
-        parts.append(tag("text", text, class_="axis", x=at, y=y + 16, text_anchor="middle" if k else "start"))
-    return parts
-
-
-def _grid(x: tuple[float, float], y: Axis, step: float) -> list[Markup]:
-    digits = step_digits(step)
-    first = math.ceil(y.low / step - 1e-9)
-    parts: list[Markup] = []
-    for k in range(first, int(math.floor(y.high / step + 1e-9)) + 1):
-        at = y(k * step)
-        parts.append(tag("line", class_="grid" if k else "base", x1=x[0], x2=x[1], y1=at, y2=at))
-        parts.append(tag("text", printed(k * step, digits if k else 0), class_="axis", x=x[0] - 8, y=at + 4, text_anchor="end"))
-    return parts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -154,6 +48,8 @@ def _value_range(spec: Profile) -> tuple[float, float, float]:
     asked = [] if spec.limit is None else [spec.limit]
     high = max([float(spec.values.max()), *asked]) * (1.15 if spec.kind == "curvature" else 1.06)
     low = min(0.0, float(spec.values.min()))
+    if spec.before is not None:  # the first curve is shown whole unless it would flatten the planned one
+        high = min(max(high, float(spec.before.max()) * 1.05), 1.7 * high)
     high = max(high, 1e-6)
     step = nice_step(high - low, 4)
     return math.floor(low / step) * step, math.ceil(high / step - 1e-9) * step, step
@@ -176,7 +72,7 @@ def profile_chart(spec: Profile, width: Width) -> Markup:
         )
         for f in spec.flags
     ]
-    parts += _grid((LEFT, wide - RIGHT), y, step)
+    parts += grid((LEFT, wide - RIGHT), y, step)
     if spec.with_axis:
         parts += path_axis(length, x, y.start, wide - LEFT - RIGHT)
     if spec.limit is not None:
@@ -196,9 +92,18 @@ def profile_chart(spec: Profile, width: Width) -> Markup:
         Markup('<g class="cursor"><line y1="{}" y2="{}"/><circle r="4"/></g>').format(f"{y.end - 6:.0f}", f"{y.start:.0f}")
     )
     return frame(
-        width, (wide, tall), spec.label, parts,
-        data_chart=spec.kind, data_left=LEFT, data_right=RIGHT, data_low=low, data_high=high, data_y0=y.start, data_y1=y.end,
-    )  # fmt: skip
+        width,
+        (wide, tall),
+        spec.label,
+        parts,
+        data_chart=spec.kind,
+        data_left=LEFT,
+        data_right=RIGHT,
+        data_low=low,
+        data_high=high,
+        data_y0=y.start,
+        data_y1=y.end,
+    )
 
 
 def _before(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
@@ -227,19 +132,30 @@ def _limit_label(spec: Profile, x: Axis, y: Axis, *, short: bool) -> Markup:
     assert spec.limit is not None  # the caller asked
     words = spec.short_limit_label if short and spec.short_limit_label else spec.limit_label
     room = 6.4 * len(words) + 8
-    below = spec.kind == "clearance" and y(spec.limit) + 16 < y.start
-    sign = -1.0 if below else 1.0
+    level = y(spec.limit)
+    below = spec.kind == "clearance" and level + 18 < y.start
+    top, bottom = (level + 1.0, level + 18.0) if below else (level - 18.0, level - 1.0)
+    curves = [(spec.arc, spec.values)] + (
+        [(spec.before_arc, spec.before)] if spec.before is not None and spec.before_arc is not None else []
+    )
+    spots = [
+        (x.start + arc / x.high * (x.end - x.start), y.start + (v - y.low) / (y.high - y.low) * (y.end - y.start))
+        for arc, v in curves
+    ]
     taken = _worst_place(spec, x, y)
     best: tuple[float, float] = (-math.inf, x.start)
     for start in np.linspace(x.start, max(x.end - room, x.start), 32):
-        low, high = (start - x.start) / (x.end - x.start) * x.high, (start + room - x.start) / (x.end - x.start) * x.high
-        near = (spec.arc >= low) & (spec.arc <= high)
-        over = float(np.max((spec.values[near] - spec.limit) * sign)) if near.any() else 0.0
-        crowd = sum(low < f["to_mm"] and high > f["from_mm"] for f in spec.flags)
-        hidden = taken is not None and start < taken[1] and start + room > taken[0]
-        score = -max(over, 0.0) / max(y.high - y.low, 1e-12) - 10.0 * crowd - 20.0 * hidden - (start - x.start) / (x.end - x.start) * 0.02
+        end = float(start) + room
+        covered = sum(
+            float(np.mean((py[near] > top) & (py[near] < bottom)))
+            for px, py in spots
+            if (near := (px >= start) & (px <= end)).any()
+        )
+        crowd = sum(start < x(f["to_mm"]) and end > x(f["from_mm"]) for f in spec.flags)
+        hidden = taken is not None and start < taken[1] and end > taken[0]
+        score = -2.0 * covered - min(crowd, 1) - 3.0 * hidden - 0.02 * (start - x.start) / (x.end - x.start)
         best = max(best, (score, float(start)))
-    return tag("text", words, class_="limit-label", x=best[1] + 4, y=y(spec.limit) + (14 if below else -6))
+    return tag("text", words, class_="limit-label halo", x=best[1] + 4, y=level + (14 if below else -6))
 
 
 def _worst_place(spec: Profile, x: Axis, y: Axis) -> tuple[float, float, float, bool] | None:
@@ -265,7 +181,14 @@ def _worst_label(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
         return []
     left, right, height, turned = place
     return [
-        tag("text", spec.worst_label, class_=f"worst-label {spec.kind}", x=right if turned else left, y=height, text_anchor="end" if turned else "start")
+        tag(
+            "text",
+            spec.worst_label,
+            class_=f"worst-label {spec.kind}",
+            x=right if turned else left,
+            y=height,
+            text_anchor="end" if turned else "start",
+        )
     ]
 
 
@@ -295,16 +218,9 @@ def strip_chart(
         parts.append(tag("rect", x=start, width=end - start + 0.5, y=38, height=8, style=mix))
     for flag in flags:
         lane = 27 if flag["kind"] == "clearance" else 46
-        box = {
-            "x": x(flag["from_mm"]),
-            "width": max(4.0, x(flag["to_mm"]) - x(flag["from_mm"])),
-            "y": lane,
-            "height": 11,
-            "rx": 2,
-        }
-        parts.append(tag("rect", class_=f"flag-solid {flag['kind']}", **box))
-        if flag["kind"] == "curvature":
-            parts.append(tag("rect", class_="flag-hatch", **box))
+        start, wide_mark = x(flag["from_mm"]), max(4.0, x(flag["to_mm"]) - x(flag["from_mm"]))
+        names = [f"flag-solid {flag['kind']}"] + (["flag-hatch"] if flag["kind"] == "curvature" else [])
+        parts += [tag("rect", class_=name, x=start, width=wide_mark, y=lane, height=11, rx=2) for name in names]
     parts += [tag("circle", class_="end", cx=x(at), cy=42, r=5) for at in (0.0, length)]
     step = nice_step(length, max(2, int(wide / 75)))
     digits = step_digits(step)
@@ -350,7 +266,7 @@ def step_chart(spec: Steps, width: Width) -> Markup:
     low, high = math.floor(low / step) * step, math.ceil((high + 0.12 * spread) / step) * step
     last = max(len(spec.values) - 1, 1)
     x, y = Axis(0.0, last, LEFT, wide - RIGHT), Axis(low, high, tall - 22, 12)
-    parts = _grid((LEFT, wide - RIGHT), y, step)
+    parts = grid((LEFT, wide - RIGHT), y, step)
     every = max(1, math.ceil(nice_step(last, max(2, int(wide / 45))))) if last > 1 else 1
     parts += [tag("text", str(k), class_="axis", x=x(k), y=tall - 6, text_anchor="middle") for k in range(0, last + 1, every)]
     index = np.arange(len(spec.values), dtype=float)
@@ -384,7 +300,7 @@ def growth_chart(limits: FloatArray, volumes: FloatArray, chosen: float, leak: f
     left = 52
     x = Axis(float(limits[0]), float(limits[-1]), left, wide - RIGHT)
     y = Axis(0.0, math.ceil(float(volumes.max()) / step_y - 1e-9) * step_y or step_y, tall - 22, 16)
-    parts = _grid((left, wide - RIGHT), y, step_y)
+    parts = grid((left, wide - RIGHT), y, step_y)
     step = nice_step(x.high - x.low, max(2, int(wide / 110)))
     for k in range(math.ceil(x.low / step - 1e-9), math.floor(x.high / step + 1e-9) + 1):
         at = x(k * step)
@@ -392,42 +308,31 @@ def growth_chart(limits: FloatArray, volumes: FloatArray, chosen: float, leak: f
         parts.append(tag("text", f"{printed(k * step, step_digits(step))} HU", class_="axis", x=at, y=tall - 6, text_anchor=end))
     parts.append(tag("path", class_="after", d=trace(limits, volumes, x, y)))
     parts += [tag("circle", class_="sample", cx=x(float(a)), cy=y(float(b)), r=2) for a, b in zip(limits, volumes, strict=True)]
-    marks = [("limit", "limit-label", chosen, "chosen", 10)] + (
-        [("leak", "leak-label", leak, "leaks at", 26)] if leak is not None else []
-    )
-    for line, text, at_hu, word, height in marks:
-        at = x(min(max(at_hu, x.low), x.high))
-        turned = at > (left + wide) / 2
+    marks = [("limit", "limit-label", chosen, "chosen", 10.0)]
+    if leak is not None:
+        marks.append(("leak", "leak-label", leak, "leaks at", 10.0))
+    for line, name, hu, word, height in marks:
+        at = x(min(max(hu, x.low), x.high))
+        text = f"{word} {printed(hu, 0)} HU"
+        room = 6.2 * len(text) + 8
+        other = chosen if line == "leak" else leak
+        turned = hu < other if other is not None else at > (left + wide) / 2  # each on its own side of the pair
+        if turned and at - room < left:
+            turned = False
+        elif not turned and at + room > wide:
+            turned = True
+        crossed = other is not None and min(at, at - room if turned else at + room) < x(other) < max(
+            at, at - room if turned else at + room
+        )
         parts.append(tag("line", class_=line, x1=at, x2=at, y1=y.end - 8, y2=y.start))
         parts.append(
             tag(
                 "text",
-                f"{word} {printed(at_hu, 0)} HU",
-                class_=f"{text} halo",
+                text,
+                class_=f"{name} halo",
                 x=at + (-6 if turned else 6),
-                y=height,
+                y=height + 14 * crossed,
                 text_anchor="end" if turned else "start",
             )
         )
     return frame(width, (wide, tall), label, parts)
-
-
-__all__ = [
-    "LEFT",
-    "RIGHT",
-    "WIDTHS",
-    "Axis",
-    "Profile",
-    "Steps",
-    "Width",
-    "escape",
-    "frame",
-    "growth_chart",
-    "in_all_widths",
-    "nice_step",
-    "path_axis",
-    "profile_chart",
-    "step_chart",
-    "strip_chart",
-    "tag",
-]

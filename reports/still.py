@@ -14,13 +14,13 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from reports.figures import tag
 from reports.slices import png
+from reports.svg import tag
 from reports.wall import LightMesh
 from segmentation.arrays import FloatArray
 
-WIDE, TALL, MARGIN = 450, 500, 34
-SHARPNESS = 1.6  # raster pixels per drawing unit
+WIDE, TALL, MARGIN = 340, 470, 30
+SHARPNESS = 2.0  # raster pixels per drawing unit
 WALL_RGB = (141, 117, 101)
 
 
@@ -135,7 +135,7 @@ def _labels(labels: Sequence[Label], place: object) -> list[Markup]:
     for side in ("left", "right"):
         mine = [label for label in chosen if (spots[id(label)][0] <= middle) == (side == "left")]
         mine.sort(key=lambda label: float(spots[id(label)][1]))
-        heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 66.0)
+        heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 74.0)
         for label, height in zip(mine, heights, strict=True):
             x, y = (float(v) for v in spots[id(label)])
             wide = 6.6 * len(label.text) + 12

@@ -20,14 +20,16 @@ from markupsafe import Markup
 
 from reports import workspace
 from reports.derived import derived_values
-from reports.figures import LEFT, RIGHT, WIDTHS
-from reports.numbers import Source, phrase, printed
+from reports.folds import Fact, Fold, folds
+from reports.numbers import Figure, Source, phrase, printed
+from reports.places import Place, critical_places
 from reports.slices import LEVELS, REACH_MM, ReducedVolume, Window, reduce_volume, windows_for
 from reports.still import Label, View, choose_view, still_picture
-from reports.tables import Fact, FeatureRow, Fold, MeasureRow, feature_rows, folds, measures
+from reports.svg import LEFT, RIGHT, WIDTHS
+from reports.tables import KINDS, FeatureRow, MeasureRow, feature_rows, measures
 from reports.wall import RIM_PLACES, RIM_STEP_MM, LightMesh, light_mesh, packed
-from reports.words import Verdict, part_at, verdict
-from reports.workspace import Course, Place, Straight
+from reports.words import Verdict, verdict, worst_place
+from reports.workspace import Course, Straight
 from segmentation.arrays import FloatArray
 from tubeplan_viz.result import Review
 
@@ -65,6 +67,7 @@ class Page:
     steps: Mapping[str, Markup]
     steps_line: str
     features: tuple[FeatureRow, ...]
+    features_line: str
     has_parts: bool
     facts: tuple[Fact, ...]
     growth: Growth | None
@@ -128,13 +131,14 @@ def make_page(review: Review) -> Page:
         windows=windows,
         ramp=(printed(ramp[0], 1), printed(ramp[1], 1)) if ramp else None,
         asked=printed(asked, 2) if asked else "",
-        narrowest=source.value("derived:clearance_min_at_mm"),
-        sharpest=source.value("derived:curvature_max_at_mm"),
-        places=workspace.critical_places(course, source, volume, window) if course is not None else (),
+        narrowest=_value(worst_place(source, "clearance")),
+        sharpest=_value(worst_place(source, "curvature")),
+        places=critical_places(course, source, volume, window) if course is not None else (),
         measures=measures(source, first),
         steps=workspace.steps(source),
         steps_line=_steps_line(source),
         features=feature_rows(source, parts),
+        features_line=_features_line(source),
         has_parts=bool(parts),
         facts=_facts(review, source, mesh, reduced),
         growth=_growth(review),
@@ -142,6 +146,10 @@ def make_page(review: Review) -> Page:
         result=result,
         scene=_scene(course, source, first, mesh, reduced, windows, view, labels, stretches, parts, ramp),
     )
+
+
+def _value(figure: Figure | None) -> float | None:
+    return None if figure is None else figure.value
 
 
 def _anatomy(details: Mapping[str, Any]) -> str | None:
@@ -183,7 +191,8 @@ def _still_words(source: Source, course: Course | None) -> str:
     if course is None:
         return "The wall of the lumen; there is no path to show."
     flags = len(source.result.get("flagged_intervals") or [])
-    return f"The wall of the lumen with the planned path from start to goal; {flags or 'no'} flagged {'stretch' if flags == 1 else 'stretches'}."
+    stretches = "stretch" if flags == 1 else "stretches"
+    return f"The wall of the lumen with the planned path from start to goal; {flags or 'no'} flagged {stretches}."
 
 
 def _steps_line(source: Source) -> str:
@@ -191,8 +200,23 @@ def _steps_line(source: Source) -> str:
     if len(states) < 2:
         return ""
     moved, added = (sum(state.get(name) or 0 for state in states) for name in ("moved", "added"))
-    text = f"{len(states) - 1} iterations from the first spline to the planned path"
-    return text + (f"; {moved} moves of feature points, {added} points added." if moved or added else ".")
+    text = f"{_counted(len(states) - 1, 'iteration')} from the first spline to the planned path"
+    return text + (f"; {_counted(moved, 'move')} of feature points, {_counted(added, 'point')} added." if moved or added else ".")
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _features_line(source: Source) -> str:
+    """How many points of each kind carry the spline, and which scans looked for them (spec 1.4)."""
+    kinds = [str(feature["kind"]) for feature in source.result.get("feature_points") or []]
+    found = [
+        f"{KINDS.get(kind, kind).lower()} ({kinds.count(kind)})" for kind in dict.fromkeys(kinds) if kind not in ("start", "goal")
+    ]
+    scans = (source.result.get("details") or {}).get("feature_scans") or []
+    told = f"The points that carry the spline: {', '.join(['start', 'goal', *found])}." if kinds else ""
+    return told + (f" Scans used: {', '.join(str(scan) for scan in scans)}." if scans else "")
 
 
 def _facts(review: Review, source: Source, mesh: LightMesh | None, reduced: ReducedVolume | None) -> tuple[Fact, ...]:
@@ -238,10 +262,18 @@ def _growth(review: Review) -> Growth | None:
 
 
 def _scene(
-    course: Course | None, source: Source, first: Mapping[str, Any], mesh: LightMesh | None, reduced: ReducedVolume | None,
-    windows: Sequence[Window], view: View | None, labels: Sequence[Label], stretches: Sequence[tuple[str, int, int]],
-    parts: Sequence[Mapping[str, Any]], ramp: tuple[float, float] | None,
-) -> dict[str, Any]:  # fmt: skip
+    course: Course | None,
+    source: Source,
+    first: Mapping[str, Any],
+    mesh: LightMesh | None,
+    reduced: ReducedVolume | None,
+    windows: Sequence[Window],
+    view: View | None,
+    labels: Sequence[Label],
+    stretches: Sequence[tuple[str, int, int]],
+    parts: Sequence[Mapping[str, Any]],
+    ramp: tuple[float, float] | None,
+) -> dict[str, Any]:
     """What the page's script needs beside result.json itself; null where there is none."""
     features = source.result.get("feature_points") or []
     return {
@@ -273,7 +305,7 @@ def _start_index(course: Course | None, source: Source) -> int:
     margin, over = source.value("derived:margin_mm"), source.value("derived:curvature_excess_percent")
     if over is not None and over > 0 and (margin is None or margin >= 0):
         return int(course.curvature.argmax())
-    return int((course.curvature.argmax() if course.clearance is None else course.clearance.argmin()))
+    return int(course.curvature.argmax() if course.clearance is None else course.clearance.argmin())
 
 
 def _packed_rims(course: Course | None) -> dict[str, Any] | None:
@@ -292,4 +324,4 @@ def _rounded(vector: FloatArray, digits: int = 4) -> list[float]:
     return [round(float(v), digits) for v in vector]
 
 
-__all__ = ["Growth", "Page", "make_page", "part_at"]
+__all__ = ["Growth", "Page", "make_page"]

@@ -15,7 +15,7 @@ from segmentation.arrays import FloatArray, IntArray
 from segmentation.mesh import Surface
 
 FACES_SHOWN = 18_000  # a turnable scene stays smooth on a phone; the outline of a tube does not change visibly
-DIRECTIONS = 24  # rays across the path at each place
+DIRECTIONS = 48  # rays across the path at each place
 RIM_STEP_MM = 0.01
 RIM_REACH_MM = 40.0
 RIM_PLACES = 400
@@ -139,10 +139,10 @@ def rims(
             share = height[rows, odd] / (height[rows, odd] - height[rows, j])
             ends.append(flat[rows, odd] + share[:, None] * (flat[rows, j] - flat[rows, odd]))
         out[i] = np.minimum(out[i], _first_hits(ends[0], ends[1], cosine, sine))
-    # In the plane of an end the wall may just have ended: there the next place that has one stands in.
-    met = np.flatnonzero((out < RIM_REACH_MM).mean(axis=1) > 0.5)
-    if len(met):
-        out[: met[0]], out[met[-1] + 1 :] = out[met[0]], out[met[-1]]
+    # In the plane of an end the wall may just have ended: there the next place stands in, direction by direction.
+    for end, inner in ((0, 1), (-1, -2)):
+        if len(out) > 2:
+            out[end] = np.where(out[end] < RIM_REACH_MM, out[end], out[inner])
     return out
 
 

@@ -95,6 +95,16 @@ def verdict(source: Source, parts: Sequence[Mapping[str, Any]]) -> Verdict:
     )
 
 
+def worst_place(source: Source, kind: str) -> Figure | None:
+    """Where along the path clearance is least, or curvature largest: as flagged, otherwise at the path's samples."""
+    flags = source.result.get("flagged_intervals") or []
+    mine = [k for k, flag in enumerate(flags) if flag["kind"] == kind]
+    if mine:
+        gravest = min(mine, key=lambda k: flags[k]["worst"] * (1.0 if kind == "clearance" else -1.0))
+        return source.figure(f"flagged_intervals.{gravest}.worst_at_mm", 1, "mm")
+    return source.figure("derived:clearance_min_at_mm" if kind == "clearance" else "derived:curvature_max_at_mm", 1, "mm")
+
+
 def _has_path(source: Source) -> bool:
     return len((source.result.get("path") or {}).get("points_mm") or ()) > 1
 
@@ -149,7 +159,7 @@ def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Ph
     if status == "infeasible":
         return phrase(_sentence(str(reason)) if reason else "")
     said: list[Phrase] = []
-    margin, at = source.value("derived:margin_mm"), source.figure("derived:clearance_min_at_mm", 1, "mm")
+    margin, at = source.value("derived:margin_mm"), worst_place(source, "clearance")
     asked = source.figure("limits.clearance_min_mm", 2, "mm")
     if margin is not None and at is not None and asked is not None:
         place = part_at(parts, at.value)
@@ -180,8 +190,8 @@ def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Ph
     if radius is not None and allowed is not None:
         strong = Figure(radius.key, radius.value, radius.digits, radius.unit, strong=True)
         over = (source.value("derived:curvature_excess_percent") or 0.0) > 0.0
-        total = phrase(", over ", source.figure("derived:flagged_curvature_mm", 1, "mm"), " in all") if over else phrase()
-        said.append(phrase("The sharpest bend has a radius of ", strong, " where the instrument allows ", allowed, total, ". "))
+        span = phrase(", over ", source.figure("derived:flagged_curvature_mm", 1, "mm"), " in all") if over else phrase()
+        said.append(phrase("The sharpest bend has a radius of ", strong, " where the instrument allows ", allowed, span, ". "))
     certificate = source.result.get("certificate") or {}
     if certificate.get("holds") and status == "ok":
         said.append(phrase("Both are proved for every point of the path, between the samples too."))
@@ -221,7 +231,7 @@ def _margin(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | N
         return None
     least, asked = source.need("metrics.clearance_min_mm", 2), source.need("limits.clearance_min_mm", 2, "mm")
     least = source.need("metrics.clearance_min_mm", digits_apart(least.value, asked.value, 2))
-    at = source.figure("derived:clearance_min_at_mm", 1, "mm")
+    at = worst_place(source, "clearance")
     place = part_at(parts, at.value) if at is not None else ""
     more = [phrase(least, " of ", asked, " clearance")]
     if at is not None:
@@ -235,7 +245,7 @@ def _bend(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | Non
         return None
     radius, _ = _radii(source)
     over = source.figure("derived:curvature_excess_percent", 0)
-    at = source.figure("derived:curvature_max_at_mm", 1, "mm")
+    at = worst_place(source, "curvature")
     place = part_at(parts, at.value) if at is not None else ""
     allowed = source.figure("limits.curvature_max_per_mm", 4)
     more = [phrase(reached, *((" of ", allowed) if allowed is not None else ()))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -10,36 +10,16 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from reports.figures import (
-    LEFT,
-    RIGHT,
-    WIDTHS,
-    Axis,
-    Profile,
-    Steps,
-    Width,
-    frame,
-    growth_chart,
-    in_all_widths,
-    path_axis,
-    profile_chart,
-    step_chart,
-    strip_chart,
-    tag,
-)
-from reports.numbers import Phrase, Source, phrase, printed
-from reports.slices import FIELD_MM, Window, cut, png, straightened
+from reports.figures import Profile, Steps, growth_chart, profile_chart, step_chart, strip_chart
+from reports.numbers import Source, printed
+from reports.slices import Window, png, straightened
+from reports.svg import LEFT, RIGHT, Axis, Width, frame, in_all_widths, path_axis, tag
 from reports.wall import parallel_frames, rims
 from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
 
 STRIP_PIECES = 125
-PLANES = (
-    ("axial", "Axial", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("R", "L", "A", "P")),
-    ("coronal", "Coronal", (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), ("R", "L", "S", "I")),
-    ("sagittal", "Sagittal", (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), ("A", "P", "S", "I")),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +72,9 @@ def strip(course: Course, source: Source, parts: Sequence[Mapping[str, Any]]) ->
         shares = np.full(STRIP_PIECES, 0.5)
     else:
         shares = np.interp(middle, course.arc, roominess(course, source.value("limits.clearance_min_mm"))[1])
-    words = f"The whole path, {printed(length, 1)} mm. " + (
-        "; ".join(
-            f"{'clearance short' if f['kind'] == 'clearance' else 'bend too sharp'} from {printed(f['from_mm'], 1)} to {printed(f['to_mm'], 1)} mm"
-            for f in flags[:10]
-        )
-        or "No stretch is flagged"
-    )
+    names = {"clearance": "clearance short", "curvature": "bend too sharp"}
+    told = [f"{names[f['kind']]} from {printed(f['from_mm'], 1)} to {printed(f['to_mm'], 1)} mm" for f in flags[:10]]
+    words = f"The whole path, {printed(length, 1)} mm. {'; '.join(told) or 'No stretch is flagged'}."
     return in_all_widths(lambda width: strip_chart(length, shares, flags, parts, words, width))
 
 
@@ -115,9 +91,16 @@ def profiles(course: Course, source: Source, first: Mapping[str, Any]) -> dict[s
         before = first.get(f"{kind}_{'mm' if kind == 'clearance' else 'per_mm'}")
         made = _profile(kind, course.arc, values, limit, mine)
         spec = Profile(
-            kind=kind, arc=course.arc, values=values, limit=limit, flags=mine, with_axis=kind == "curvature", **made,
-            before_arc=before_arc if before else None, before=np.asarray(before, float) if before else None,
-        )  # fmt: skip
+            kind=kind,
+            arc=course.arc,
+            values=values,
+            limit=limit,
+            flags=mine,
+            with_axis=kind == "curvature",
+            **made,
+            before_arc=before_arc if before else None,
+            before=np.asarray(before, float) if before else None,
+        )
         charts[kind] = in_all_widths(partial(profile_chart, spec))
     return charts
 
@@ -158,10 +141,12 @@ def steps(source: Source) -> dict[str, Markup]:
             continue
         limit = source.value(limit_key)
         spec = Steps(
-            kind=kind, values=np.asarray(values, float), limit=limit,
+            kind=kind,
+            values=np.asarray(values, float),
+            limit=limit,
             limit_label="" if limit is None else limit_words.format(printed(limit, digits)),
             label=f"{title} over {len(values) - 1} iterations: from {printed(values[0], 4)} to {printed(values[-1], 4)}",
-        )  # fmt: skip
+        )
         charts[kind] = in_all_widths(partial(step_chart, spec))
     return charts
 
@@ -243,105 +228,6 @@ def _across(at: FloatArray, values: FloatArray, half: float, name: str) -> Marku
     return tag("path", class_=name, d="M" + "L".join(f"{a:.2f} {b:.3f}" for a, b in zip(at, heights, strict=True)))
 
 
-@dataclass(frozen=True)
-class Thumbnail:
-    """One static cut at a critical place, ready to print."""
-
-    name: str
-    picture: Markup
-
-
-@dataclass(frozen=True)
-class Place:
-    """A critical place with its cuts."""
-
-    title: str
-    where: Phrase
-    go: float
-    field: str
-    cuts: tuple[Thumbnail, ...]
-
-
-def critical_places(course: Course, source: Source, volume: Volume | None, window: Window | None) -> tuple[Place, ...]:
-    """The tightest place and the sharpest bend, each across the path and, where there is a CT, in three planes."""
-    found: list[tuple[str, int, Phrase]] = []
-    if course.clearance is not None and (least := source.figure("metrics.clearance_min_mm", 2, "mm")) is not None:
-        index = int(course.clearance.argmin())
-        found.append(
-            ("Tightest place", index, phrase("at ", source.need("derived:clearance_min_at_mm", 1, "mm"), ", clearance ", least))
-        )
-    if (radius := source.figure("derived:bend_radius_mm", 1, "mm")) is not None:
-        index = int(course.curvature.argmax())
-        found.append(
-            ("Sharpest bend", index, phrase("at ", source.need("derived:curvature_max_at_mm", 1, "mm"), ", radius ", radius))
-        )
-    asked = source.value("limits.clearance_min_mm")
-    return tuple(
-        Place(title, where, float(course.arc[index]), printed(cut_field(course, course.place_at(index)), 0), _cuts(course, index, volume, window, asked))
-        for title, index, where in found
-    )
-
-
-def cut_field(course: Course, place: int) -> float:
-    """Side of the static cuts in mm: the lumen with its surroundings, not lost in them."""
-    return FIELD_MM if course.rims is None else float(np.clip(np.ceil(11.0 * np.median(course.rims[place]) / 2) * 2, 20.0, FIELD_MM))
-
-
-def _cuts(course: Course, index: int, volume: Volume | None, window: Window | None, asked: float | None) -> tuple[Thumbnail, ...]:
-    place = course.place_at(index)
-    origin, normal, down = course.points[index], course.normal[place], -course.binormal[place]
-    tight = course.clearance is not None and asked is not None and float(course.clearance[index]) < asked
-    circle = tag("circle", class_="asked bad" if tight else "asked", r=f"{asked:.3f}") if asked else Markup("")
-    wall = Markup("")
-    field = cut_field(course, place)
-    if course.rims is not None:
-        angle = 2.0 * np.pi * np.arange(course.rims.shape[1]) / course.rims.shape[1]
-        rim = course.rims[place]
-        wall = tag(
-            "path",
-            class_="rim",
-            d="M" + "L".join(f"{r * np.cos(a):.2f} {-r * np.sin(a):.2f}" for r, a in zip(rim, angle, strict=True)) + "Z",
-        )
-    across = Thumbnail("Across", _picture(volume, window, origin, normal, down, [wall, circle], "Cut across the path", field, ()))
-    if volume is None or window is None:
-        return (across,) if course.rims is not None else ()
-    near = course.points[max(0, index - 80) : index + 81] - origin
-    cuts = [across]
-    for _, name, right_axis, down_axis, letters in PLANES:
-        right, below = np.array(right_axis), np.array(down_axis)
-        line = tag(
-            "path",
-            class_="path-line",
-            d="M" + "L".join(f"{a:.2f} {b:.2f}" for a, b in zip(near @ right, near @ below, strict=True)),
-        )
-        cuts.append(
-            Thumbnail(name, _picture(volume, window, origin, right, below, [line, circle], f"CT, {name.lower()}", field, letters))
-        )
-    return tuple(cuts)
-
-
-def _picture(
-    volume: Volume | None, window: Window | None, origin: FloatArray, right: FloatArray, down: FloatArray,
-    overlay: Sequence[Markup], words: str, field: float, letters: Sequence[str],
-) -> Markup:  # fmt: skip
-    half = field / 2
-    parts = []
-    if volume is not None and window is not None:
-        grey = png(cut(volume, origin, right, down, window, field=field))
-        parts.append(Markup('<image x="{}" y="{}" width="{}" height="{}" href="{}"/>').format(-half, -half, field, field, grey))
-    parts += overlay
-    parts.append(tag("circle", class_="here", r=f"{field / 90:.2f}"))
-    spots = ((-0.94, 0.03, "start"), (0.94, 0.03, "end"), (0.0, -0.86, "middle"), (0.0, 0.94, "middle"))
-    for letter, (x, y, anchor) in zip(letters, spots, strict=False):
-        parts.append(
-            tag("text", letter, class_="side", x=x * half, y=y * half, text_anchor=anchor)
-        )
-    kind = "cut" if volume is not None else "cut no-ct"
-    return Markup('<svg class="{}" viewBox="{} {} {} {}" role="img" aria-label="{}">{}</svg>').format(
-        kind, -half, -half, field, field, words, Markup("").join(parts)
-    )
-
-
 def make_course(path: Mapping[str, Any], surface: Surface | None, places: int) -> Course | None:
     """The path of a result as arrays; None where there is none to draw."""
     points = np.asarray(path.get("points_mm") or [], float).reshape(-1, 3)
@@ -360,19 +246,3 @@ def make_course(path: Mapping[str, Any], surface: Surface | None, places: int) -
         normal=normal,
         binormal=binormal,
     )
-
-
-__all__ = [
-    "WIDTHS",
-    "Course",
-    "Place",
-    "Straight",
-    "critical_places",
-    "growth",
-    "make_course",
-    "profiles",
-    "roominess",
-    "steps",
-    "straight",
-    "strip",
-]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +73,11 @@ def swept(points: np.ndarray, radius: np.ndarray, frame: str, sides: int = 40) -
     return Surface(vertices, faces, face_cap, caps, frame)
 
 
-def painted(points: np.ndarray, radius: np.ndarray, rng: np.random.Generator) -> Volume:
+@cache
+def painted(neck: float) -> Volume:
     """A CT of 0.8 x 0.8 x 1.25 mm with a bright lumen in soft tissue."""
+    rng = np.random.default_rng(3)
+    points, radius = axis_and_radius(neck=neck)
     low, high = points.min(axis=0) - 30.0, points.max(axis=0) + 30.0
     size = np.ceil((high - low)[::-1] / [1.25, 0.8, 0.8]).astype(int)
     matrix = np.array([[0, 0, 0.8, low[0]], [0, 0.8, 0, low[1]], [1.25, 0, 0, low[2]], [0, 0, 0, 1.0]])
@@ -128,7 +132,6 @@ def build_review(
     **changes: Any,
 ) -> Review:
     """A run of the synthetic tube whose status follows from its limits."""
-    rng = np.random.default_rng(3)
     points, radius = axis_and_radius(neck=neck)
     path = profile(points, radius * 0.97)
     rough = points + 0.25 * np.sin(np.linspace(0, 60, len(points)))[:, None] * np.array([1.0, 0.3, 0.0])
@@ -155,13 +158,19 @@ def build_review(
     result: dict[str, Any] = {
         "schema_version": 1,
         "status": status,
-        "reason": "the lumen is narrower than the instrument at 77.4 mm: 1.02 mm where 1.20 mm are needed" if infeasible else None if not flags else "limits are broken",
+        "reason": "the lumen is narrower than the instrument at 77.4 mm: 1.02 mm where 1.20 mm are needed"
+        if infeasible
+        else None
+        if not flags
+        else "limits are broken",
         "planner": {"name": "tube", "method": "feature_iteration", "version": "1"},
         "frame": "LPS" if ct else "mesh",
         "limits": {"curvature_max_per_mm": curvature_max, "clearance_min_mm": clearance_min},
         "path": path,
         "centerline": {"points_mm": points[::4].tolist(), "radius_mm": radius[::4].tolist()},
-        "feature_points": [{"point_mm": points[k].tolist(), "kind": kind, "s_mm": float(arc[k])} for k, kind in zip(spots, kinds, strict=True)],
+        "feature_points": [
+            {"point_mm": points[k].tolist(), "kind": kind, "s_mm": float(arc[k])} for k, kind in zip(spots, kinds, strict=True)
+        ],
         "metrics": {
             "length_mm": float(arc[-1]),
             "curvature_max_per_mm": float(curvature.max()),
@@ -170,18 +179,46 @@ def build_review(
             "clearance_mean_mm": float(np.trapezoid(clearance, arc) / arc[-1]),
             "centerline_distance_mean_mm": 0.0312,
         },
-        "certificate": {"holds": not flags, "curvature_upper_bound_per_mm": float(curvature.max()) + 1e-4, "clearance_lower_bound_mm": float(clearance.min()) - 0.004, "method": "piecewise polynomial and Lipschitz bounds"},
+        "certificate": {
+            "holds": not flags,
+            "curvature_upper_bound_per_mm": float(curvature.max()) + 1e-4,
+            "clearance_lower_bound_mm": float(clearance.min()) - 0.004,
+            "method": "piecewise polynomial and Lipschitz bounds",
+        },
         "flagged_intervals": flags,
         "iterations": states,
         "details": {
-            "surface": {"wall_faces": 38400, "caps": [{"label": c.label, "origin": c.origin, "center_mm": c.center.tolist(), "normal": c.normal.tolist(), "area_mm2": c.area, "first_face": 0, "faces": 40} for c in surface.caps], "deviation_mm": {"mean": 0.041, "p95": 0.112, "max": 0.287}},
+            "surface": {
+                "wall_faces": 38400,
+                "caps": [
+                    {
+                        "label": c.label,
+                        "origin": c.origin,
+                        "center_mm": c.center.tolist(),
+                        "normal": c.normal.tolist(),
+                        "area_mm2": c.area,
+                        "first_face": 0,
+                        "faces": 40,
+                    }
+                    for c in surface.caps
+                ],
+                "deviation_mm": {"mean": 0.041, "p95": 0.112, "max": 0.287},
+            },
             "endpoints": [{"label": "E1", "point_mm": points[0].tolist(), "radius_mm": 1.9, "confidence": 0.97}],
             "centerline_radius_min": {"radius_mm": float(radius.min()), "at_mm": 71.2, "point_mm": points[264].tolist()},
             "warnings": [],
         },
         "timings_s": {"read": 0.61, "grow": 0.38, "surface": 0.94, "centerline": 1.52, "plan": 0.12},
-        "provenance": {"software": "tubeplan", "version": "0.1.0", "inputs": [{"name": "ct-series", "sha256": "7c" * 32}], "rng_seed": 7, "settings": {"planner": {"sigma": 0.001, "T1": 1.9}}, "created_utc": "2026-11-22T00:58:00Z", "platform": "Linux, Python 3.11.2"},
-    }  # fmt: skip
+        "provenance": {
+            "software": "tubeplan",
+            "version": "0.1.0",
+            "inputs": [{"name": "ct-series", "sha256": "7c" * 32}],
+            "rng_seed": 7,
+            "settings": {"planner": {"sigma": 0.001, "T1": 1.9}},
+            "created_utc": "2026-11-22T00:58:00Z",
+            "platform": "Linux, Python 3.11.2",
+        },
+    }
     result.update(changes)
     curve = GrowthCurve(
         varied="hu_min",
@@ -206,7 +243,7 @@ def build_review(
         case_id=case_id,
         result=result,
         surface=surface,
-        volume=painted(points, radius, rng) if ct else None,
+        volume=painted(neck) if ct else None,
         region=region if ct else None,
         facts={"Series": "CT, 120 slices", "Voxel": "0.80 × 0.80 × 1.25 mm", "Surface": "38\u202f480 triangles, closed"}
         if ct

@@ -14,7 +14,7 @@ export function createLabels(host, svg, labels) {
     return { ...label, plate, leader, width: 0 };
   });
   return (project, width, height) => {
-    const low = 18, high = height - 70; // the scale and the corner mark stand below
+    const low = 18, high = height - 86; // the scale and the corner mark stand below
     for (const item of items) {
       [item.x, item.y] = project(item.point);
       item.width ||= item.plate.offsetWidth;

@@ -1,0 +1,137 @@
+"""What the page says and holds, without a browser."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import hashlib
+import re
+import stat
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import pytest
+
+from reports import ReportError, render, render_report, write_report
+
+HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
+
+
+def text_of(page: str) -> str:
+    body = page.split("<body", 1)[1].split('<script type="application/json"', 1)[0]
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", body))
+
+
+def test_each_state_says_its_verdict(make_review: Any) -> None:
+    holds = text_of(render_report(make_review(curvature_max=0.25, clearance_min=0.8, ct=False)))
+    assert "Both limits hold along the whole path" in holds
+    assert "proved for every point" in holds
+    flagged = make_review(ct=False)
+    said = text_of(render_report(flagged))
+    assert (
+        f"but {('no', 'one', 'two', 'three', 'four')[len(flagged.result['flagged_intervals'])]} stretches break a limit" in said
+    )
+    assert "Everywhere else both limits hold" in said
+    impossible = text_of(render_report(make_review(infeasible=True, ct=False)))
+    assert "No path keeps both limits" in impossible
+    assert "it is not a plan" in impossible
+    assert "The lumen is narrower than the instrument at 77.4 mm" in impossible
+    for page in (holds, said, impossible):
+        assert page.count("Research use, not for clinical decisions") >= 2
+
+
+def test_one_broken_limit_is_named_with_its_amount_when_there_is_no_path(make_review: Any) -> None:
+    narrow = make_review(infeasible=True, curvature_max=0.25, ct=False)
+    short = narrow.result["limits"]["clearance_min_mm"] - narrow.result["metrics"]["clearance_min_mm"]
+    assert f"No path: the lumen is too narrow by {short:.2f}" in text_of(render_report(narrow))
+    sharp = make_review(infeasible=True, clearance_min=0.8, ct=False)
+    assert "No path: the bend needs a radius of" in text_of(render_report(sharp))
+
+
+def test_hostile_words_are_text_everywhere(make_review: Any) -> None:
+    review = make_review(case_id=HOSTILE, reason=HOSTILE, infeasible=True)
+    review.result["status"] = "infeasible"
+    review.result["details"]["warnings"] = [HOSTILE]
+    review.result["details"]["parts"] = [{"name": HOSTILE, "from_mm": 0.0, "to_mm": 90.0}]
+    review.result["details"]["anatomy"] = HOSTILE
+    review.result["provenance"]["settings"] = {HOSTILE: HOSTILE}
+    page = render_report(dataclasses.replace(review, facts={HOSTILE: HOSTILE}))
+    assert "<img src=x" not in page
+    assert page.count("<script") == page.count("</script>") == 3
+    assert "&lt;img src=x" in page
+
+
+def test_the_policy_allows_this_script_and_nothing_else(make_review: Any) -> None:
+    page = render_report(make_review(ct=False))
+    policy = re.search(r'Content-Security-Policy" content="([^"]+)"', page)
+    assert policy is not None
+    script = page.rsplit("<script>", 1)[1].rsplit("</script>", 1)[0]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}';" in policy[1]
+    assert policy[1].startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline';")
+    assert not re.search(r'(?:src|href)="(?!data:|#)', page)
+    assert "url(http" not in page
+
+
+def test_no_path_of_a_machine_is_in_the_page(make_review: Any) -> None:
+    page = render_report(make_review())
+    assert not re.search(r"/(?:home|work|root|tmp|Users|usr)/", page)
+
+
+def test_what_is_absent_is_left_out(make_review: Any) -> None:
+    review = make_review(ct=False)
+    bare = {
+        key: review.result[key] for key in ("schema_version", "status", "reason", "planner", "frame", "limits", "path", "metrics")
+    }
+    page = render_report(dataclasses.replace(review, result=bare, surface=None, facts={}, first={}, last={}))
+    assert 'id="features"' not in page
+    assert "Grown volume" not in page
+    nothing = {
+        "status": "infeasible",
+        "reason": "start and goal lie in two components",
+        "frame": "mesh",
+        "path": None,
+        "metrics": {},
+        "limits": {},
+    }
+    page = text_of(render_report(dataclasses.replace(review, result=nothing, first={})))
+    assert "No path from start to goal" in page
+    assert "Start and goal lie in two components." in page
+
+
+def test_the_template_may_not_print_what_is_not_there() -> None:
+    assert render._environment().undefined is jinja2.StrictUndefined
+    assert render._environment().autoescape is True
+
+
+def test_numbers_that_are_not_finite_are_refused(make_review: Any) -> None:
+    review = make_review(ct=False)
+    review.result["details"]["odd"] = float("nan")
+    with pytest.raises(ReportError, match="expected finite numbers only"):
+        render_report(review)
+
+
+def test_the_file_is_the_owners_only_and_small(make_review: Any, tmp_path: Path) -> None:
+    target = tmp_path / "report.html"
+    target.write_text("old")
+    target.chmod(0o644)
+    write_report(make_review(), target)
+    assert stat.S_IMODE(target.stat().st_mode) == 0o600
+    assert target.stat().st_size < 3_000_000
+    with pytest.raises(ReportError, match=r"^report\.html cannot be written"):
+        write_report(make_review(ct=False), tmp_path / "absent" / "report.html")
+
+
+def test_the_same_run_gives_the_same_bytes(make_review: Any) -> None:
+    assert render_report(make_review(ct=False)) == render_report(make_review(ct=False))
+
+
+def test_critical_places_are_static_pictures(make_review: Any) -> None:
+    page = render_report(make_review())
+    section = page.split('<section id="places"', 1)[1].split("</section>", 1)[0]
+    assert section.count('class="cut"') == 8
+    assert section.count("data:image/png;base64,") == 8
+    mesh = render_report(make_review(ct=False)).split('<section id="places"', 1)[1].split("</section>", 1)[0]
+    assert mesh.count('class="cut no-ct"') == 2
+    assert "data:image/png" not in mesh
