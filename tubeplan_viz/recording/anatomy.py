@@ -89,8 +89,16 @@ def log_centerline(sink: Sink, centerline: Centerline, *, light: bool) -> None:
     )
 
 
-def log_volume(sink: Sink, volume: Volume, region: Region | None) -> str:
-    """Grey voxels around the lumen at half resolution or less, and the mask; returns what was kept, in words."""
+def log_volume(sink: Sink, volume: Volume, region: Region | None) -> tuple[int, str]:
+    """Grey voxels around the lumen at half resolution or less, and the mask.
+
+    Returns
+    -------
+    int
+        The middle slice of what was kept.
+    str
+        What was kept, in words.
+    """
     lower, upper = crop_box(volume, region)
     size = upper - lower
     steps = np.where(volume.spacing < FINE_SPACING_MM, 2, 1)
@@ -111,7 +119,7 @@ def log_volume(sink: Sink, volume: Volume, region: Region | None) -> str:
         half = (_block_mean(mask, steps) >= 0.5).astype(np.uint8)
         sink.log(at.MASK, rr.Tensor(half, dim_names=("slice", "row", "column"), value_range=(0, 1)), static=True)
     kept = " x ".join(str(n // s) for n, s in zip(size, steps, strict=True))
-    return (
+    return int(size[0] // steps[0] // 2), (
         f"CT in the recording: {kept} voxels around the lumen, each the mean of {steps[0]} x {steps[1]} x {steps[2]} "
         f"(slice, row, column); grey values from {window[0]:g} to {window[1]:g} HU"
     )

@@ -25,6 +25,7 @@ class Contents:
     limits: Limits
     frame: str
     has_ct: bool = False
+    middle_slice: int = 0
     has_growth: bool = False
     has_camera: bool = False
 
@@ -63,7 +64,7 @@ def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
     away = away / np.linalg.norm(away) + 0.25 * front / np.linalg.norm(front)
     away /= np.linalg.norm(away)
     up = np.array([0.0, 0.0, 1.0]) if abs(away[2]) < 0.8 else np.array([0.0, -1.0 if frame == "LPS" else 1.0, 0.0])
-    return Viewpoint(position=target + away * 0.97 * reach / np.sin(0.5 * FIELD_OF_VIEW), target=target, up=up)
+    return Viewpoint(position=target + away * 1.02 * reach / np.sin(0.5 * FIELD_OF_VIEW), target=target, up=up)
 
 
 def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
@@ -97,11 +98,17 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
             )
         )
     if contents.has_ct:
+        # Columns to the right and rows down, as the scanner drew them.
+        slices = rrb.TensorSliceSelection(
+            width=2, height=1, indices=[rr.TensorDimensionIndexSelection(dimension=0, index=contents.middle_slice)], slider=[0]
+        )
+        mapping = rrb.TensorScalarMapping(colormap="grayscale", mag_filter="linear")
         tabs.append(
             rrb.TensorView(
                 origin=at.VOLUME,
                 name="CT voxels",
-                scalar_mapping=rrb.TensorScalarMapping(colormap="grayscale", mag_filter="linear"),
+                slice_selection=slices,
+                scalar_mapping=mapping,
                 view_fit="FillKeepAspectRatio",
             )
         )
@@ -131,7 +138,11 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
     ]
     if contents.has_growth:
         words.append(
-            rrb.BarChartView(origin=at.GROWTH, name="Grown volume, ml over HU limit", plot_legend=rrb.PlotLegend(visible=False))
+            rrb.BarChartView(
+                origin=at.GROWTH,
+                name="Grown volume, ml over HU limit (chosen green, leak red)",
+                plot_legend=rrb.PlotLegend(visible=False),
+            )
         )
     return rrb.Blueprint(
         rrb.Horizontal(

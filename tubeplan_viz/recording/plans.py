@@ -132,9 +132,10 @@ def log_track(sink: Sink, track: Track, limits: Limits, *, light: bool) -> None:
 
 def log_flagged(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval]) -> None:
     """Flagged stretches in 3D, red for curvature and orange for clearance, each with its worst place and value."""
+    drawn = track.thinned(CURVE_SPACING_MM)
     for kind in FlagKind:
         mine = [flag for flag in flagged if flag.kind is kind]
-        strips = [_stretch(track, flag.start, flag.end) for flag in mine]
+        strips = [_stretch(drawn, flag.start, flag.end) for flag in mine]
         sink.log_some(
             at.flagged_path(kind),
             len(mine),

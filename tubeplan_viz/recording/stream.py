@@ -133,8 +133,8 @@ class Recording:
         if self._light:
             return
         self._slicer = Slicer(volume, region)
-        self._contents = replace(self._contents, has_ct=True)
-        kept = anatomy.log_volume(self._sink, volume, region)
+        middle, kept = anatomy.log_volume(self._sink, volume, region)
+        self._contents = replace(self._contents, has_ct=True, middle_slice=middle)
         self._sink.at(at.ITERATION, 0)
         log_planes(self._sink, self._slicer, self._slicer.home)
         self._center = self._slicer.home

@@ -92,7 +92,7 @@ def log_walk(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval], limit
     for name, ratio in ratios.items():
         sink.columns(f"{at.CONVERGENCE}/{name}", at.ARC_LENGTH, ticks, rr.Scalars.columns(scalars=ratio))
     if not light:
-        _log_cursors(sink, track, ticks, limits)
+        _log_cursors(sink, track, ticks[::2], limits)
 
 
 def _log_instrument(sink: Sink, radius: float) -> None:
