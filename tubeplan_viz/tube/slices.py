@@ -46,13 +46,11 @@ class SliceClearance:
         """Indices of the samples with slice clearance below the limit, and those clearances in mm."""
         points = curve(u)
         suspects = self._suspects(points)
-        short, values = [], []
-        for i in suspects:
-            value = self._slice(points, int(i))
-            if value < self.limit:
-                short.append(int(i))
-                values.append(value)
-        return np.array(short, dtype=np.int64), np.array(values)
+        if not len(suspects):
+            return suspects, np.empty(0)
+        values = self._slices(points, suspects)
+        short = values < self.limit
+        return suspects[short], values[short]
 
     def _suspects(self, points: FloatArray) -> IntArray:
         """Samples whose exact distance is below the limit; distances known to be above are not asked again."""
@@ -67,26 +65,58 @@ class SliceClearance:
                 self._points[doubtful] = points[doubtful]
         return np.flatnonzero(self._distance < self.limit)
 
-    def _slice(self, points: FloatArray, i: int) -> float:
-        if self._distance[i] <= 0:
-            return float(self._distance[i])
-        least = float("inf")
-        # Only a mean of two matters that is below the limit, so neither may exceed twice the limit.
-        near = self._corners[self._tree.query_ball_point(points[i], 2.0 * self.limit + self._reach)]
-        for s in range(1, self.pairs + 1):
-            sides = [points[i] - points[max(i - s, 0)], points[min(i + s, len(points) - 1)] - points[i]]
-            distances = [contour_distance(points[i], normal, near) for normal in sides if np.any(normal)]
-            least = min(least, float(np.mean(distances)))
-        return least
+    def _slices(self, points: FloatArray, samples: IntArray) -> FloatArray:
+        """Slice clearance of the given samples, mm; at twice the limit and beyond it may read infinite."""
+        middle, last = points[samples], len(points) - 1
+        chords = [middle - points[np.maximum(samples - s, 0)] for s in range(1, self.pairs + 1)]
+        chords += [points[np.minimum(samples + s, last)] - middle for s in range(1, self.pairs + 1)]
+        # Only a mean of two matters that is below the limit, so neither may exceed twice the
+        # limit. A contour is seldom much farther than the wall, so a near search comes first;
+        # what it finds within its radius is final.
+        far = np.full(len(samples), 2.0 * self.limit)
+        near = np.minimum(1.25 * np.abs(self._distance[samples]) + 0.1, far)
+        found = self._contours(middle, chords, near)  # (2 pairs, samples)
+        again = np.flatnonzero((found > near).any(axis=0) & (near < far))
+        if len(again):
+            found[:, again] = self._contours(middle[again], [chord[again] for chord in chords], far[again])
+        # At either end of the path one of the two chords is missing.
+        found[[~chord.any(axis=1) for chord in chords]] = np.nan
+        least = np.nanmean(found.reshape(2, self.pairs, -1), axis=0).min(axis=0)
+        return np.where(self._distance[samples] <= 0, self._distance[samples], least)
+
+    def _contours(self, points: FloatArray, chords: list[FloatArray], radii: FloatArray) -> FloatArray:
+        """Distances (planes, points) to the wall's contours, from the faces that come nearer than `radii`."""
+        faces = self._tree.query_ball_point(points, radii + self._reach)
+        owner = np.repeat(np.arange(len(points)), [len(f) for f in faces])
+        if not len(owner):
+            return np.full((len(chords), len(points)), np.inf)
+        corners = self._corners[np.concatenate(faces).astype(np.int64)] - points[owner, None]  # (k, 3, 3)
+        return np.array([contour_distances(corners, chord, owner) for chord in chords])
 
 
-def contour_distance(point: FloatArray, normal: FloatArray, corners: FloatArray) -> float:
-    """Least distance from `point` to where triangles (m, 3, 3) cross the plane through it; inf if none does."""
-    side = (corners - point) @ normal  # (m, 3)
+def contour_distances(corners: FloatArray, normals: FloatArray, owner: IntArray) -> FloatArray:
+    """Least distance from the origin to where triangles cross a plane through it, for many planes.
+
+    Parameters
+    ----------
+    corners : (k, 3, 3) float array, mm
+        Triangles relative to their plane's point.
+    normals : (m, 3) float array
+        Of the planes, any length.
+    owner : (k,) int array
+        Plane that each triangle belongs to, in increasing order.
+
+    Returns
+    -------
+    (m,) float array, mm
+        Infinite where no triangle crosses.
+    """
+    least = np.full(len(normals), np.inf)
+    side = np.einsum("kij,kj->ki", corners, normals[owner])  # (k, 3)
     crossing = (side.min(axis=1) < 0) & (side.max(axis=1) >= 0)
-    if not crossing.any():
-        return float("inf")
-    corners, side = corners[crossing], side[crossing]
+    corners, side, owner = corners[crossing], side[crossing], owner[crossing]
+    if not len(owner):
+        return least
     # Bring the corner that is alone on its side to the front: two edges leave from it.
     above = side >= 0
     alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
@@ -97,8 +127,8 @@ def contour_distance(point: FloatArray, normal: FloatArray, corners: FloatArray)
         other, other_side = corners[rows, (alone + k) % 3], side[rows, (alone + k) % 3]
         t = apex_side / (apex_side - other_side)
         ends.append(apex + t[:, None] * (other - apex))
-    a, b = ends
-    ab = b - a
+    a, ab = ends[0], ends[1] - ends[0]
     square = np.maximum(np.einsum("ij,ij->i", ab, ab), 1e-300)
-    t = np.clip(np.einsum("ij,ij->i", point - a, ab) / square, 0.0, 1.0)
-    return float(np.linalg.norm(a + t[:, None] * ab - point, axis=1).min())
+    t = np.clip(-np.einsum("ij,ij->i", a, ab) / square, 0.0, 1.0)
+    np.minimum.at(least, owner, np.linalg.norm(a + t[:, None] * ab, axis=1))
+    return least
