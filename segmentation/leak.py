@@ -26,6 +26,9 @@ class LeakRule:
         and more (the flood is stopped there), the largest step without a leak 2 ml.
     factor : float
         Least ratio of the volumes before and after an explosion.
+    onset : float
+        Where a leak comes by degrees, it begins where the volume grows by this ratio over `window`: the
+        kidney around a collecting system joins so, by noise first.
     window : int, HU
         The step is taken over this many HU, since a leak through several weak voxels
         may take a few.
@@ -39,6 +42,7 @@ class LeakRule:
     volume_max: float
     jump: float
     factor: float = 1.5
+    onset: float = 1.25
     window: int = 5
     margin: float = 20.0
     margin_share: float = 0.15
@@ -58,28 +62,37 @@ def leak_index(volumes: FloatArray, rule: LeakRule) -> int | None:
     int or None
         None when the volume never explodes nor passes `rule.volume_max`.
     """
-    last = len(volumes) - 1
+    steepest = None
     for index in range(1, len(volumes)):
         before = volumes[max(index - rule.window, 0) : index]
         before = before[before >= rule.volume_min]
-        grown = volumes[index] - before
-        if np.any((grown > rule.jump) & (volumes[index] > rule.factor * before)):
-            first = index - len(before)
-            return first + 1 + int(np.argmax(np.diff(volumes[first : index + 1])))
-        if volumes[index] > rule.volume_max:
-            last = index
+        if np.any((volumes[index] - before > rule.jump) & (volumes[index] > rule.factor * before)):
+            steepest = index - len(before) + 1 + int(np.argmax(np.diff(volumes[index - len(before) : index + 1])))
             break
-    if volumes[last] <= rule.volume_max:
-        return None
-    # A slow leak: the steepest relative step on the way to the impossible volume.
-    judged = np.flatnonzero(volumes[:last] >= rule.volume_min)
-    if len(judged) == 0:
-        return last
-    steps = np.diff(np.log(volumes[judged[0] : last + 1]))
-    return int(judged[0]) + 1 + int(np.argmax(steps))
+        if volumes[index] > rule.volume_max:
+            # A slow leak: its steepest part lies on the way to the impossible volume.
+            steepest = 1 + int(np.argmax(np.diff(volumes[: index + 1])))
+            break
+    return None if steepest is None else _onset(volumes, steepest, rule)
 
 
-def leak_voxel(joined: IntArray, held: IntArray, values: VoxelArray, shape: tuple[int, int, int]) -> tuple[int, int, int]:
+def _onset(volumes: FloatArray, steepest: int, rule: LeakRule) -> int:
+    """Back from the steepest step of a leak to where the volume began to run away."""
+    index = steepest
+    while (
+        index > rule.window
+        and volumes[index - rule.window] >= rule.volume_min
+        and volumes[index] >= rule.onset * volumes[index - rule.window]
+    ):
+        index -= 1
+    first = index if index == steepest else index + 1
+    # The limit named as the leak is one at which voxels join.
+    return first + int(np.argmax(np.diff(volumes[first - 1 : steepest + 1]) > 0))
+
+
+def leak_voxel(
+    joined: IntArray, held: IntArray, values: VoxelArray, shape: tuple[int, int, int], *, connectivity: int
+) -> tuple[int, int, int]:
     """The voxel through which the leak begins.
 
     Of the voxels that joined at the leaking limit, the largest connected part is the
@@ -93,13 +106,15 @@ def leak_voxel(joined: IntArray, held: IntArray, values: VoxelArray, shape: tupl
         Grey values of `joined`, lower is further inside.
     shape : (3,) int tuple
         Shape of the image.
+    connectivity : {6, 26}
+        As grown.
     """
     index = np.column_stack(np.unravel_index(joined, shape))
     lower = np.maximum(index.min(axis=0) - 1, 0)
     upper = np.minimum(index.max(axis=0) + 2, shape)
     box = np.zeros(upper - lower, dtype=bool)
     box[tuple((index - lower).T)] = True
-    structure = ndimage.generate_binary_structure(3, 3)
+    structure = ndimage.generate_binary_structure(3, 1 if connectivity == 6 else 3)
     labels, count = ndimage.label(box, structure)
     label = labels[tuple((index - lower).T)]
     largest = 1 + int(np.argmax(np.bincount(label, minlength=count + 1)[1:]))

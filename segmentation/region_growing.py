@@ -188,7 +188,9 @@ def grow(
     where, point = None, None
     if leak is not None:
         held = np.concatenate(flooded.joined[:leak])
-        where = leak_voxel(flooded.joined[leak], held, values.ravel()[flooded.joined[leak]], values.shape)
+        where = leak_voxel(
+            flooded.joined[leak], held, values.ravel()[flooded.joined[leak]], values.shape, connectivity=settings.connectivity
+        )
         point = volume.to_lps(where)
     curve = GrowthCurve(
         varied=settings.varied,
@@ -218,10 +220,11 @@ def _before_leak(
     median = float(np.median(values.ravel()[lumen])) / STEPS_PER_HU if len(lumen) else limits[0]
     margin = max(settings.leak.margin, settings.leak.margin_share * (limits[leak] - median))
     chosen = int(np.searchsorted(limits, limits[leak] - margin, side="right")) - 1
+    sign = -1 if settings.varied == "hu_min" else 1
     if chosen < 0 or volumes[chosen] < 0.5 * min(volumes[leak - 1], settings.leak.volume_min):
         raise RegionError(
-            f"the region leaks at {limits[leak] * (-1 if settings.varied == 'hu_min' else 1):.0f} HU, from {volumes[leak - 1]:.2f} to over "
-            f"{volumes[leak]:.0f} ml, too close to the seed's {seed_hu:.0f} HU to stop before it; "
+            f"the region leaks at {sign * limits[leak]:.0f} HU, from {volumes[leak - 1]:.2f} to over {volumes[leak]:.0f} ml, "
+            f"too close to the seed's {seed_hu:.0f} HU to stop before it; "
             "smooth the image first, move the seed to the middle of the lumen, or give the limit"
         )
     return chosen

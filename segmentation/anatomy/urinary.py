@@ -17,7 +17,7 @@ from segmentation.smoothing import block_mean
 from segmentation.volume import Volume
 
 # 100 HU lies below enhanced parenchyma, so the search meets the leak into it. That leak comes by
-# degrees, first through noise; 0.4 of the way back to the lumen is clear of it (no tunnel in the
+# degrees, first through noise; 0.35 of the way back to the lumen is clear of it (no tunnel in the
 # generated urography, 18 of them at 20 HU from the leak). The wall is then moved to half maximum.
 URINARY = Preset(
     name="urinary",
@@ -26,7 +26,7 @@ URINARY = Preset(
     hu_max=3071.0,
     loosest=100.0,
     half_maximum=True,
-    leak=LeakRule(volume_min=1.0, volume_max=80.0, jump=8.0, margin_share=0.4),
+    leak=LeakRule(volume_min=1.0, volume_max=80.0, jump=8.0, margin_share=0.35),
 )
 
 BRIGHT = 250.0
