@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,7 +93,7 @@ def axis(s: FloatArray) -> tuple[FloatArray, FloatArray]:
     return ORIGIN + straight + bend, tangent
 
 
-def swept(stations: int = 70, around: int = 28) -> Surface:
+def swept(stations: int = 56, around: int = 24) -> Surface:
     """Rings on the axis, vertices exactly 3 mm from it, closed by a fan at each end."""
     points, tangents = axis(np.linspace(0.0, LENGTH, stations))
     angle = 2.0 * np.pi * np.arange(around) / around
@@ -199,18 +200,25 @@ GENEROUS = Limits(curvature_max=0.09, clearance_min=2.2)
 TIGHT = Limits(curvature_max=0.0665, clearance_min=2.75)
 
 
-@pytest.fixture
-def clean_run(bent_tube: BentTube, tmp_path: Path) -> Path:
-    """A run whose path keeps its limits."""
-    write_run(tmp_path / "run", bent_tube.plan(GENEROUS), bent_tube.surface)
-    return tmp_path / "run"
+@pytest.fixture(scope="session")
+def made_runs(bent_tube: BentTube, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs, made once and never changed: `clean` keeps its limits, `flagged` breaks both on some stretches."""
+    folder = tmp_path_factory.mktemp("runs")
+    write_run(folder / "clean", bent_tube.plan(GENEROUS), bent_tube.surface)
+    write_run(folder / "flagged", bent_tube.plan(TIGHT), bent_tube.surface)
+    return folder
 
 
 @pytest.fixture
-def flagged_run(bent_tube: BentTube, tmp_path: Path) -> Path:
-    """A run whose path breaks both limits on some stretches."""
-    write_run(tmp_path / "run", bent_tube.plan(TIGHT), bent_tube.surface)
-    return tmp_path / "run"
+def clean_run(made_runs: Path, tmp_path: Path) -> Path:
+    """A copy of the run whose path keeps its limits."""
+    return Path(shutil.copytree(made_runs / "clean", tmp_path / "run"))
+
+
+@pytest.fixture
+def flagged_run(made_runs: Path, tmp_path: Path) -> Path:
+    """A copy of the run whose path breaks both limits on some stretches."""
+    return Path(shutil.copytree(made_runs / "flagged", tmp_path / "run"))
 
 
 @pytest.fixture(scope="session")

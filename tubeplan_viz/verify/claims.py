@@ -96,12 +96,15 @@ def check_profile(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]
     )
     outside = np.flatnonzero(~own.inside)
     where = f", first at {own.samples.s[outside[0]]:.2f} mm" if len(outside) else ""
+    text = "The surface winds once around every place of the path, at least 20 of them in each mm."
+    if len(outside) and result["status"] != "infeasible":
+        text = f"The path leaves the lumen{where}: that is no path for an instrument, whatever its flags say."
     yield Check(
         name="path: inside the lumen",
-        ok=len(outside) == 0 and bool(inside.all()),
+        ok=result["status"] == "infeasible" or (len(outside) == 0 and bool(inside.all())),
         found=f"{len(outside)} of {len(own.inside)} places outside{where}",
-        expected="none outside",
-        text="The surface winds once around every place of the path, at least 20 of them in each mm.",
+        expected="none outside, unless no path was found",
+        text=text,
     )
 
 

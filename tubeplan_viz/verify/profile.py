@@ -17,7 +17,7 @@ CLEARANCE_PROOF_MM = 2e-4  # the least clearance is searched until it is known t
 CLEARANCE_AIM_MM = 1e-6  # and this well where that needs no more than
 AIM_PLACES = 2000  # more places in a round
 REFINEMENT_ROUNDS = 16
-CROSSING_ROUNDS = 25  # 0.04 mm halved 25 times: ends of broken stretches to 1e-9 mm
+CROSSING_ROUNDS = 16  # 0.04 mm halved 16 times: ends of broken stretches to 1e-6 mm
 ON_SURFACE_MM = 1e-6  # on an end cap: not told apart from it by rounding
 
 
@@ -88,7 +88,10 @@ class OwnProfile:
         """Stretches, mm of arc length, whose clearance is below `limit` (mm)."""
 
         def excess(piece: IntArray, t: FloatArray) -> FloatArray:
-            return limit - self.lumen.clearance(self.samples.path.evaluate(piece, t), on_surface=ON_SURFACE_MM)[0]
+            points = self.samples.path.evaluate(piece, t)
+            if limit > 2.0 * SPACING_MM:  # a sample beside one that keeps the limit is still inside
+                return np.asarray(limit - self.lumen.wall.distance(points))
+            return limit - self.lumen.clearance(points, on_surface=ON_SURFACE_MM)[0]
 
         return self._stretches(limit - self.clearance, excess)
 

@@ -22,7 +22,7 @@ from tubeplan_viz.verify.files import check_markups, check_outputs, check_table
 from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
 from tubeplan_viz.verify.page import check_page
 from tubeplan_viz.verify.profile import OwnProfile, measure
-from tubeplan_viz.verify.setting import check_ends, check_frame, check_surface, check_unit
+from tubeplan_viz.verify.setting import check_ends, check_frame, check_limits, check_surface, check_unit
 from tubeplan_viz.verify.spline import BezierPath
 from tubeplan_viz.verify.verification import Check, Verification
 from tubeplan_viz.verify.wall import Lumen, Triangles
@@ -130,6 +130,7 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
     if _written("report.html", folder, result):
         page = yield from _opened("report.html", folder, lambda text: text)
     yield from check_ends(result, case)
+    yield from check_limits(result, case)
     spline = result["spline"]
     path = BezierPath.from_spline(spline["degree"], np.array(spline["knots"]), np.array(spline["control_points_mm"], dtype=float))
     try:

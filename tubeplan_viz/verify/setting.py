@@ -16,6 +16,7 @@ UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0
 SIZE_MM = (2.0, 3000.0)
 BOX_MARGIN_MM = 1.0  # a path may begin a little outside a cap
 END_MM = 1e-6  # the path's ends are the points asked for, not points near them
+FLAT_MM = 0.05 + 1e-6  # spec 1.8b
 AREA = 1e-6  # relative: the same double-precision sum in another order
 
 
@@ -118,6 +119,9 @@ def check_surface(result: Mapping[str, Any], mesh: MeshFile) -> Iterator[Check]:
         expected += count
         corners = mesh.vertices[mesh.faces[first : first + count]]
         area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
+        off = np.abs((corners.reshape(-1, 3) - cap["center_mm"]) @ np.array(cap["normal"], dtype=float)).max()
+        if cap["origin"] == "flat end" and off > FLAT_MM:
+            faults.append(f"{cap['label']} is called a flat end and is {off:.3g} mm off its plane")
         if abs(area - cap["area_mm2"]) > AREA * max(area, 1.0):
             faults.append(f"{cap['label']} has {area:.4f} mm^2 instead of {cap['area_mm2']:.4f}")
     if not faults and (expected != len(mesh.faces) or surface["faces"] != len(mesh.faces)):
@@ -127,7 +131,7 @@ def check_surface(result: Mapping[str, Any], mesh: MeshFile) -> Iterator[Check]:
         ok=not faults,
         found="; ".join(faults) or f"{surface['wall_faces']} wall faces, {len(caps)} caps",
         expected=f"all {len(mesh.faces)} faces of mesh.ply, caps with their areas",
-        text="mesh.ply is made up of wall and caps as details.surface says.",
+        text="mesh.ply is made up of wall and caps as details.surface says, and what is called a flat end is flat.",
     )
 
 
@@ -160,6 +164,23 @@ def check_ends(result: Mapping[str, Any], case: Mapping[str, Any] | None) -> Ite
             expected=f"{_corner(known[source])} mm in {source}",
             text=f"The path has the {name} that was asked for.",
         )
+
+
+def check_limits(result: Mapping[str, Any], case: Mapping[str, Any] | None) -> Iterator[Check]:
+    """The limits that the path is judged by are those that were asked for."""
+    stated = result["limits"]
+    names = {"curvature_max": "curvature_max_per_mm", "clearance_min": "clearance_min_mm"}
+    differ = []
+    for source, tables in (("case.toml", case), ("the settings", result["provenance"]["settings"])):
+        asked = (tables or {}).get("limits") or {}
+        differ += [f"{asked[name]} in {source}" for name, key in names.items() if name in asked and asked[name] != stated[key]]
+    yield Check(
+        name="limits",
+        ok=not differ,
+        found=f"curvature {stated['curvature_max_per_mm']:g} 1/mm, clearance {stated['clearance_min_mm']:g} mm",
+        expected="; ".join(differ) or "as in case.toml and the settings",
+        text="The limits of result.json are those that were asked for.",
+    )
 
 
 def _asked(case: Mapping[str, Any] | None, name: str, result: Mapping[str, Any]) -> FloatArray | None:

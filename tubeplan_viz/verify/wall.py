@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 
-BATCH = 16  # consecutive samples that share one list of candidate faces
+BATCH = 24  # consecutive samples, at most this many and this near the first, share one list of candidate faces
+BATCH_REACH_MM = 1.0
 PAIRS_AT_ONCE = 40_000  # point-triangle pairs per pass: the temporaries stay in the cache
 NORMAL_TRUSTED = 1e-4  # twice the area over the radius squared: the normal of a thinner face is uncertain by over 1e-12
 NEEDLE = 1e-8  # the same: a thinner face is measured as its three edges, which is off by 1e-8 of its length at most
@@ -66,9 +67,12 @@ class Triangles:
             return np.full(len(points), np.inf)
         nearest = np.asarray(self._center_tree.query(points)[1])
         best = point_triangle_distance(points, self.corners[nearest])
-        for first in range(0, len(points), BATCH):
-            rows = slice(first, first + BATCH)
+        first = 0
+        while first < len(points):
+            far = np.linalg.norm(points[first : first + BATCH] - points[first], axis=1) > BATCH_REACH_MM
+            rows = slice(first, first + (int(far.argmax()) if far.any() else len(far)))
             best[rows] = self._refine(points[rows], best[rows])
+            first = rows.stop
         return best
 
     def _refine(self, points: FloatArray, bound: FloatArray) -> FloatArray:

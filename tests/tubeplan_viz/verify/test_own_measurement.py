@@ -25,7 +25,8 @@ seeds = st.integers(0, 2**32 - 1)
 def random_spline(seed: int, *, double_knot: bool = False) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(4, 12))
-    inner = np.sort(rng.uniform(0.05, 0.95, count - 4))
+    steps = rng.uniform(0.2, 1.0, count - 3)  # neighbouring features of a plan are not nearer than this to each other
+    inner = np.cumsum(steps)[:-1] / steps.sum()
     if double_knot and len(inner) > 1:
         inner[1] = inner[0]
     return np.concatenate([[0.0] * 4, inner, [1.0] * 4]), rng.normal(scale=20.0, size=(count, 3)) + 100.0
@@ -41,7 +42,7 @@ def test_bezier_pieces_are_the_spline_with_its_derivatives(seed: int, double_kno
     u = path.breaks[piece] + t * np.diff(path.breaks)[piece]
     for order in range(4):
         expected = BSpline(knots, control, 3)(u, nu=order)
-        # Differences of control points over short knot spans lose digits with each derivative.
+        # Coordinates near 100 mm, differenced three times over spans down to 1/40: 1e-14 * 6 * 40^3 of the largest.
         assert path.evaluate(piece, t, order) == pytest.approx(expected, rel=1e-7, abs=1e-7 * np.abs(expected).max())
 
 
@@ -155,7 +156,7 @@ def test_clearance_changes_sign_where_the_path_leaves_and_comes_back() -> None:
 
 
 @given(seeds)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_clearance_bound_holds_between_the_samples(seed: int) -> None:
     # A path past random obstacles: no place of it is nearer to them than the bound, nor the bound far below.
     rng = np.random.default_rng(seed)

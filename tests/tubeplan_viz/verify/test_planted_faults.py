@@ -312,6 +312,65 @@ def test_wall_declared_to_be_a_cap(clean_run: Path) -> None:
     assert "mesh: caps" in faults(clean_run)
 
 
+def test_wall_declared_to_be_a_flat_end_with_its_area(clean_run: Path) -> None:
+    mesh = read_ply(clean_run / "mesh.ply")
+
+    def declare(result: dict[str, Any]) -> None:
+        surface = result["details"]["surface"]
+        surface["wall_faces"] -= 10
+        cap = surface["caps"][0]
+        first = cap["first_face"] - 10
+        cap.update(
+            first_face=first, faces=cap["faces"] + 10, area_mm2=float(mesh.face_areas[first : first + cap["faces"] + 10].sum())
+        )
+
+    lie(clean_run, declare)
+    found = verify_run(clean_run)
+    assert "mesh: caps" in {check.name for check in found.faults}
+    assert "off its plane" in next(check for check in found.faults if check.name == "mesh: caps").found
+
+
+def test_limits_other_than_those_asked_for(clean_run: Path) -> None:
+    case = (clean_run / "case.toml").read_text()
+    (clean_run / "case.toml").write_text(case + "[limits]\ncurvature_max = 0.09\nclearance_min = 2.2\n")
+    sign_again(clean_run)
+    assert faults(clean_run) == set()
+    lie(clean_run, lambda result: result["limits"].update(clearance_min_mm=2.1))
+    found = verify_run(clean_run)
+    assert "limits" in {check.name for check in found.faults}
+    assert next(check for check in found.faults if check.name == "limits").expected == "2.2 in case.toml"
+
+
+def test_path_that_leaves_the_lumen(bent_tube: Any, tmp_path: Path, writer: Any) -> None:
+    # The wall is moved 4 mm down around the middle of the path: its flags are true, yet no instrument can go there.
+    vertices = np.array(bent_tube.surface.vertices)
+    middle = bent_tube.curve([0.5])[0]
+    vertices[:, 2] -= 4.0 * np.exp(-(np.linalg.norm(vertices - middle, axis=1) ** 2) / 20.0)
+    tube = replace(bent_tube, surface=replace(bent_tube.surface, vertices=vertices))
+    tube = replace(tube, centerline=replace(tube.centerline, points=tube.centerline.points[:8], radii=tube.centerline.radii[:8]))
+    plan = tube.plan(Limits(curvature_max=0.09, clearance_min=2.2))
+    assert plan.profile.clearance.min() < -0.1
+    writer(tmp_path / "flagged", plan, tube.surface)
+    assert faults(tmp_path / "flagged") == {"path: inside the lumen"}
+    writer(tmp_path / "none", replace(plan, status=PlanStatus.INFEASIBLE, reason="the lumen turns away"), tube.surface)
+    assert faults(tmp_path / "none") == set()
+
+
+def test_outcome_without_a_path(clean_run: Path) -> None:
+    result = json.loads((clean_run / "result.json").read_text())
+    nothing = dict.fromkeys(["path", "spline", "centerline", "feature_points", "certificate", "iterations"])
+    result.update(nothing, status="infeasible", reason="the lumen is closed", metrics=dict.fromkeys(result["metrics"]))
+    (clean_run / "result.json").write_text(result_text(result))
+    found = verify_run(clean_run)
+    assert found.holds
+    assert [check.name for check in found.checks] == ["schema", "files: digests", "status"]
+
+
+def test_planner_that_cannot_be_checked_yet(clean_run: Path) -> None:
+    lie(clean_run, lambda result: result["planner"].update(name="rigid"))
+    assert faults(clean_run) == {"planner"}
+
+
 def test_moved_start(clean_run: Path) -> None:
     case = (clean_run / "case.toml").read_text()
     start = json.loads(case.split("start = ")[1].split("\n")[0])
