@@ -91,6 +91,10 @@ def write_series(
         raise SeriesError("the volume's axes are not at right angles; a CT series cannot hold it, resample it first")
     if int(volume.voxels.min()) < RESCALE_INTERCEPT:
         raise SeriesError(f"the least voxel is {int(volume.voxels.min())} HU, expected {RESCALE_INTERCEPT} or more")
+    if int(volume.voxels.max()) - RESCALE_INTERCEPT > np.iinfo(np.int16).max:
+        raise SeriesError(
+            f"the largest voxel is {int(volume.voxels.max())} HU, more than 16 bits can store above {RESCALE_INTERCEPT}"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()):
         raise SeriesError(f"{folder.name}: the folder is not empty; give a new one")
@@ -172,10 +176,7 @@ def _slice(volume: Volume, common: Dataset, number: int, seed: int) -> Dataset:
     d.ImagePositionPatient = [_decimal(float(x)) for x in np.round(position, 6)]
     normal = volume.index_to_lps[:3, 0] / volume.spacing[0]
     d.SliceLocation = _decimal(float(np.round(position @ normal, 6)))
-    stored = volume.voxels[number].astype(np.int32) - RESCALE_INTERCEPT
-    if int(stored.max()) > np.iinfo(np.int16).max:
-        raise SeriesError(f"slice {number + 1} holds {int(stored.max()) + RESCALE_INTERCEPT} HU, more than 16 bits can store")
-    d.PixelData = stored.astype("<i2").tobytes()
+    d.PixelData = (volume.voxels[number].astype(np.int32) - RESCALE_INTERCEPT).astype("<i2").tobytes()
     d["PixelData"].VR = "OW"
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = CTImageStorage

@@ -1,5 +1,19 @@
 """CT series made by calculation, with known truth."""
 
+from segmentation.synthetic.collecting_system import Branch, CollectingSystem, collecting_system
+from segmentation.synthetic.scanner import ScannerSettings, scan
+from segmentation.synthetic.shapes import round_cone_distance
 from segmentation.synthetic.urography import Urography, UrographySettings, urography, write_demo_series
 
-__all__ = ["Urography", "UrographySettings", "urography", "write_demo_series"]
+__all__ = [
+    "Branch",
+    "CollectingSystem",
+    "ScannerSettings",
+    "Urography",
+    "UrographySettings",
+    "collecting_system",
+    "round_cone_distance",
+    "scan",
+    "urography",
+    "write_demo_series",
+]
