@@ -27,6 +27,11 @@ class Check:
     expected: str
     text: str
 
+    @property
+    def sentence(self) -> str:
+        """What to show a reader: the text, and for a check that does not hold what was found and expected."""
+        return self.text if self.ok else f"{self.text} Found {self.found}; expected {self.expected}."
+
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:

@@ -468,7 +468,8 @@ def test_edited_embedded_result(clean_run: Path) -> None:
     sign_again(clean_run)
     found = verify_run(clean_run)
     assert {check.name for check in found.faults} == {"report.html: embedded result"}
-    assert "at status" in found.faults[0].found
+    assert "Found OK instead of ok at status; expected one, equal to result.json." in found.faults[0].sentence
+    assert all(check.sentence == check.text for check in found.checks if check.ok)
 
 
 @pytest.mark.parametrize(
