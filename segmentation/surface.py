@@ -92,6 +92,12 @@ def lumen_surface(volume: Volume, region: Region, settings: SurfaceSettings) -> 
     notes = []
     if raw.filled_ml > 0:
         notes.append(f"voids of {raw.filled_ml:.3g} ml inside the lumen were filled")
+    if region.wall_limits is not None:
+        low, high = np.percentile(region.wall_limits[region.mask], [5, 95])
+        notes.append(
+            f"the wall lies at half maximum between the lumen and the tissue behind it (mostly {low:.0f} to {high:.0f} HU), "
+            f"not at the {region.hu_min:.0f} HU that the region was grown with"
+        )
     vertices, faces, vertex_plane, dropped = _around_seed(raw, volume.to_lps(region.seed))
     if dropped > 0.01 * volume.voxel_ml * 1000.0:
         notes.append(f"{dropped / 1000.0:.3g} ml that touch the lumen at voxel corners only were left out")
