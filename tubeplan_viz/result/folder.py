@@ -62,9 +62,10 @@ class RunFolder:
 
     Examples
     --------
-    >>> with RunFolder(Path(tempfile.mkdtemp()) / "case-1") as run:  # doctest: +SKIP
-    ...     run.write_text("path.csv", path_csv(plan.profile))
-    ...     run.finish(build_result(plan, frame="LPS", timings_s={}, provenance=provenance))
+    >>> with tempfile.TemporaryDirectory() as place, RunFolder(Path(place) / "case-1") as run:
+    ...     run.write_text("path.csv", "s_mm")
+    ...     run.path("path.csv").exists(), (Path(place) / "case-1").exists()
+    (True, False)
     """
 
     def __init__(self, target: Path, *, force: bool = False) -> None:
