@@ -128,34 +128,47 @@ def _before(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
 
 
 def _limit_label(spec: Profile, x: Axis, y: Axis, *, short: bool) -> Markup:
-    """The limit in words, where it covers least of curve, bands and the worst place's figure."""
+    """The limit in words, where it covers least of curves, bands and the worst place's figure."""
     assert spec.limit is not None  # the caller asked
     words = spec.short_limit_label if short and spec.short_limit_label else spec.limit_label
-    room = 6.4 * len(words) + 8
     level = y(spec.limit)
-    below = spec.kind == "clearance" and level + 18 < y.start
-    top, bottom = (level + 1.0, level + 18.0) if below else (level - 18.0, level - 1.0)
-    curves = [(spec.arc, spec.values)] + (
-        [(spec.before_arc, spec.before)] if spec.before is not None and spec.before_arc is not None else []
-    )
-    spots = [
-        (x.start + arc / x.high * (x.end - x.start), y.start + (v - y.low) / (y.high - y.low) * (y.end - y.start))
-        for arc, v in curves
-    ]
+    curves = [(spec.arc, spec.values)]
+    if spec.before is not None and spec.before_arc is not None:
+        curves.append((spec.before_arc, spec.before))
     taken = _worst_place(spec, x, y)
-    best: tuple[float, float] = (-math.inf, x.start)
-    for start in np.linspace(x.start, max(x.end - room, x.start), 32):
-        end = float(start) + room
-        covered = sum(
-            float(np.mean((py[near] > top) & (py[near] < bottom)))
-            for px, py in spots
-            if (near := (px >= start) & (px <= end)).any()
-        )
-        crowd = sum(start < x(f["to_mm"]) and end > x(f["from_mm"]) for f in spec.flags)
-        hidden = taken is not None and start < taken[1] and end > taken[0]
-        score = -2.0 * covered - min(crowd, 1) - 3.0 * hidden - 0.02 * (start - x.start) / (x.end - x.start)
-        best = max(best, (score, float(start)))
-    return tag("text", words, class_="limit-label halo", x=best[1] + 4, y=level + (14 if below else -6))
+    bands = [(x(flag["from_mm"]), x(flag["to_mm"])) for flag in spec.flags] + ([taken[:2]] if taken is not None else [])
+    at, height = free_place(words, level, curves, bands, x, y)
+    return tag("text", words, class_="limit-label halo", x=at, y=height)
+
+
+def free_place(
+    words: str,
+    level: float,
+    curves: Sequence[tuple[FloatArray, FloatArray]],
+    taken: Sequence[tuple[float, float]],
+    x: Axis,
+    y: Axis,
+) -> tuple[float, float]:
+    """Where words beside a horizontal line at `level` cover least: left end and base line, as near to the left as is free."""
+    room = 6.4 * len(words) + 8
+    drawn = [(x.of(arc), y.of(values)) for arc, values in curves]
+    best: tuple[float, float, float] = (-math.inf, x.start, level - 6)
+    for base, top, bottom in ((level - 6, level - 18.0, level - 1.0), (level + 14, level + 1.0, level + 18.0)):
+        if bottom > y.start or top < y.end - 16:
+            continue
+        for start in np.linspace(x.start + 4, max(x.end - room, x.start + 4), 32):
+            end = float(start) + room
+            covered = sum(_share_inside(px, py, float(start), end, top, bottom) for px, py in drawn)
+            crowd = any(start < high and end > low for low, high in taken)
+            score = -2.0 * covered - 0.5 * crowd - 0.02 * (start - x.start) / (x.end - x.start)
+            best = max(best, (score, float(start), base))
+    return best[1], best[2]
+
+
+def _share_inside(px: FloatArray, py: FloatArray, left: float, right: float, top: float, bottom: float) -> float:
+    """Share of a curve's samples between two x that lie between two heights."""
+    near = (px >= left - 2) & (px <= right + 2)
+    return float(np.mean((py[near] > top - 2) & (py[near] < bottom + 2))) if near.any() else 0.0
 
 
 def _worst_place(spec: Profile, x: Axis, y: Axis) -> tuple[float, float, float, bool] | None:
@@ -274,9 +287,9 @@ def step_chart(spec: Steps, width: Width) -> Markup:
     if spec.limit is not None:
         level = y(spec.limit)
         parts.append(tag("line", class_="limit", x1=LEFT, x2=wide - RIGHT, y1=level, y2=level))
-        shift = -6 if spec.kind == "clearance" else 15
-        shift = -6 if level + shift > y.start - 2 else shift
-        parts.append(tag("text", spec.limit_label, class_="limit-label halo", x=wide - RIGHT, y=level + shift, text_anchor="end"))
+        dense = np.linspace(0.0, last, 400)
+        at, height = free_place(spec.limit_label, level, [(dense, np.interp(dense, index, spec.values))], [], x, y)
+        parts.append(tag("text", spec.limit_label, class_="limit-label halo", x=at, y=height))
     for k, value in enumerate(spec.values):
         kept = spec.limit is None or (value >= spec.limit if spec.kind == "clearance" else value <= spec.limit)
         parts.append(

@@ -71,11 +71,14 @@ class Axis:
         """The drawing coordinate of a value."""
         return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
 
+    def of(self, values: FloatArray) -> FloatArray:
+        """The drawing coordinates of many values."""
+        return np.asarray(self.start + (values - self.low) / (self.high - self.low) * (self.end - self.start))
+
 
 def trace(xs: FloatArray, ys: FloatArray, x: Axis, y: Axis) -> str:
     """Path data of a polyline; points closer than half a unit apart keep only their extremes."""
-    px = x.start + (xs - x.low) / (x.high - x.low) * (x.end - x.start)
-    py = y.start + (np.clip(ys, min(y.low, y.high), max(y.low, y.high)) - y.low) / (y.high - y.low) * (y.end - y.start)
+    px, py = x.of(xs), y.of(np.clip(ys, min(y.low, y.high), max(y.low, y.high)))
     keep = np.zeros(len(px), bool)
     column = np.floor(px / 1.5).astype(int)
     for rows in np.split(np.arange(len(px)), np.flatnonzero(np.diff(column)) + 1):

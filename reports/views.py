@@ -106,7 +106,7 @@ def make_page(review: Review) -> Page:
         if len(spots) > 2
         else None
     )
-    labels = _labels(course, source) if course is not None else ()
+    labels = _labels(course, source) if course is not None else _ends_asked(details)
     stretches = _stretches(course, source)
     ramp = (
         workspace.roominess(course, source.value("limits.clearance_min_mm"))[0]
@@ -185,6 +185,15 @@ def _labels(course: Course, source: Source) -> tuple[Label, ...]:
                 text = f"radius {printed(radius, 1)} of {printed(source.value('derived:bend_radius_limit_mm') or 0.0, 1)} mm"
             labels.append(Label(point, text, kind, rank + 1))
     return tuple(labels)
+
+
+def _ends_asked(details: Mapping[str, Any]) -> tuple[Label, ...]:
+    """Start and goal as they were asked for, where no path joins them."""
+    return tuple(
+        Label(np.asarray(details[f"{name}_mm"], float), name.capitalize(), name, 0)
+        for name in ("start", "goal")
+        if len(details.get(f"{name}_mm") or ()) == 3
+    )
 
 
 def _still_words(source: Source, course: Course | None) -> str:

@@ -140,8 +140,8 @@ def rims(
             ends.append(flat[rows, odd] + share[:, None] * (flat[rows, j] - flat[rows, odd]))
         out[i] = np.minimum(out[i], _first_hits(ends[0], ends[1], cosine, sine))
     # In the plane of an end the wall may just have ended: there the next place stands in, direction by direction.
-    for end, inner in ((0, 1), (-1, -2)):
-        if len(out) > 2:
+    if len(out) > 3:
+        for end, inner in ((1, 2), (0, 1), (-2, -3), (-1, -2)):
             out[end] = np.where(out[end] < RIM_REACH_MM, out[end], out[inner])
     return out
 

@@ -100,6 +100,17 @@ def test_what_is_absent_is_left_out(make_review: Any) -> None:
     assert "Start and goal lie in two components." in page
 
 
+def test_without_a_path_the_lumen_is_shown_with_the_ends_that_were_asked_for(make_review: Any) -> None:
+    review = make_review(ct=False, path=None, flagged_intervals=[], feature_points=[], iterations=[], metrics={})
+    review.result["status"] = "infeasible"
+    review.result["details"] |= {"start_mm": [0.0, -27.0, 120.0], "goal_mm": [20.0, -30.0, 170.0]}
+    page = render_report(dataclasses.replace(review, first={}, last={}))
+    still = page.split('<svg class="still"', 1)[1].split("</svg>", 1)[0]
+    assert ">Start<" in still
+    assert ">Goal<" in still
+    assert "Along the path" not in page
+
+
 def test_the_template_may_not_print_what_is_not_there() -> None:
     assert render._environment().undefined is jinja2.StrictUndefined
     assert render._environment().autoescape is True
