@@ -198,11 +198,14 @@ def nearest_parameter(curve: SplineCurve, grid: FloatArray, point: FloatArray) -
 def features_of_runs(sharp: IntArray, u: FloatArray, knots: FloatArray) -> IntArray:
     """Features to move: those inside each run, or the two around a run that holds none (algorithm 2)."""
     chosen: set[int] = set()
+    last = len(knots) - 1
     for run in runs(sharp):
-        first, last = np.searchsorted(knots, [u[run[0]], u[run[-1]]], side="left")
-        inside = range(int(first), int(np.searchsorted(knots, u[run[-1]], side="right")))
-        chosen |= set(inside) if len(inside) else {int(first) - 1, int(last)}
-    return np.array(sorted(chosen - {0, len(knots) - 1} - {-1, len(knots)}), dtype=np.int64)
+        first = int(np.searchsorted(knots, u[run[0]], side="left"))
+        stop = int(np.searchsorted(knots, u[run[-1]], side="right"))
+        # Start and goal stay; a run at an end of the path moves the feature next to it.
+        inside = set(range(first, stop)) - {0, last}
+        chosen |= inside or {first - 1, stop} & set(range(1, last))
+    return np.array(sorted(chosen), dtype=np.int64)
 
 
 def relax(features: tuple[Feature, ...], moving: IntArray, settings: RefineSettings) -> tuple[Feature, ...]:
