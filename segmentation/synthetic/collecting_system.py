@@ -16,16 +16,17 @@ from scipy.interpolate import PchipInterpolator
 from segmentation.arrays import FloatArray, frozen_array
 from segmentation.synthetic.shapes import round_cone_distance, smooth_curve
 
-# Ureter to renal pelvis: x (left), y (posterior), z (superior), radius; mm. Lumen radii of a contrast-filled
-# ureter are 1.5 to 2.5 mm, narrowest at the ureteropelvic junction.
+# Ureter to renal pelvis: x (left), y (posterior), z (superior), radius; mm. Lumen radii of a distended,
+# contrast-filled ureter are 1.5 to 2.5 mm, narrowest at the ureteropelvic junction. Partial volume takes 0.3 to 0.5 mm
+# from what a segmentation finds, and a ureteroscope of 1.2 mm radius is still to pass.
 TRUNK = np.array(
     [
-        [27.0, 3.0, -92.0, 1.9],
-        [29.5, 3.5, -72.0, 1.7],
-        [27.5, 5.0, -55.0, 2.1],
-        [28.5, 8.0, -40.0, 1.9],
-        [31.5, 11.5, -28.0, 1.7],
-        [34.5, 14.0, -20.5, 1.5],
+        [27.0, 3.0, -92.0, 2.2],
+        [29.5, 3.5, -72.0, 2.1],
+        [27.5, 5.0, -55.0, 2.4],
+        [28.5, 8.0, -40.0, 2.2],
+        [31.5, 11.5, -28.0, 2.1],
+        [34.5, 14.0, -20.5, 1.9],
         [38.5, 17.0, -13.0, 3.8],
         [43.0, 19.5, -7.0, 6.4],
         [47.0, 21.5, -2.5, 6.8],

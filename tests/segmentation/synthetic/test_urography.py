@@ -140,7 +140,7 @@ def test_the_tree_is_of_human_size(scan):
     truth = scan.truth
     radii = truth.branches[0].radii
     points = truth.branches[0].points
-    assert radii.min() == pytest.approx(1.5, abs=0.05)  # the ureteropelvic junction
+    assert radii.min() == pytest.approx(1.9, abs=0.05)  # the ureteropelvic junction
     assert 6.0 < radii.max() < 8.0
     assert np.all((radii[points[:, 2] < -30.0] > 1.5) & (radii[points[:, 2] < -30.0] < 2.5))
     assert len(truth.goals) == 8
