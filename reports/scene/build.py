@@ -5,6 +5,7 @@ The lock file names versions and checksums and no registry: ``npm ci`` uses the 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 from pathlib import Path
@@ -31,6 +32,12 @@ def licences() -> str:
     return "\n".join(parts)
 
 
+def sources_digest() -> str:
+    """SHA-256 over the sources and the lock file: a test holds the bundle against it."""
+    files = [*sorted((HERE / "src").glob("*.js")), HERE / "package-lock.json"]
+    return hashlib.sha256(b"".join(file.name.encode() + b"\0" + file.read_bytes() for file in files)).hexdigest()
+
+
 def build() -> None:
     """Install the locked packages, bundle, and write the licences beside the bundle."""
     subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
@@ -42,6 +49,7 @@ def build() -> None:
     if "</script" in text or "<!--" in text:
         raise SystemExit("the bundle holds text that would end its own script element; rename it in the source")
     (target.parent / "THIRD_PARTY.txt").write_text(licences())
+    (target.parent / "SOURCES.sha256").write_text(sources_digest() + "\n")
 
 
 if __name__ == "__main__":

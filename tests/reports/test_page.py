@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import hashlib
 import re
+import runpy
 import stat
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,14 @@ def test_the_policy_allows_this_script_and_nothing_else(make_review: Any) -> Non
     assert policy[1].startswith("default-src 'none'; img-src data:; style-src 'unsafe-inline';")
     assert not re.search(r'(?:src|href)="(?!data:|#)', page)
     assert "url(http" not in page
+
+
+def test_the_shipped_script_was_built_from_the_sources_beside_it() -> None:
+    scene = Path(render.__file__).parent / "scene"
+    build = runpy.run_path(str(scene / "build.py"))
+    assert (scene / "dist" / "SOURCES.sha256").read_text().strip() == build["sources_digest"]()
+    assert "three 0." in (scene / "dist" / "THIRD_PARTY.txt").read_text()
+    assert "resolved" not in (scene / "package-lock.json").read_text()
 
 
 def test_no_path_of_a_machine_is_in_the_page(make_review: Any) -> None:
