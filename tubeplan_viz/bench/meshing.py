@@ -152,7 +152,7 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
         )
         labels[cap] = number
         # Marching cubes work in single precision: put the flat part exactly on its plane.
-        flat = np.unique(faces[cap & (np.abs(depth).max(axis=1) < 1e-3 * voxel)])
-        vertices[flat] -= ((vertices[flat] - point) @ normal)[:, None] * normal
+        disc = np.unique(faces[cap & (np.abs(depth).max(axis=1) < 1e-3 * voxel)])
+        vertices[disc] -= ((vertices[disc] - point) @ normal)[:, None] * normal
         caps.append(Cap(f"C{number + 1}", "flat end", point, normal, 0.5 * float(areas[cap].sum())))
     return Surface(vertices, faces.astype(np.int64), labels, tuple(caps), "mesh")
