@@ -26,7 +26,7 @@ export function createLabels(host, svg, labels) {
     const sorted = shown.map((item) => item.x).sort((a, b) => a - b);
     const middle = sorted.length ? sorted[sorted.length >> 1] : 0;
     for (const left of [true, false]) {
-      const side = shown.filter((item) => (item.x < middle || (item.x === middle && item.x > width / 2)) === left).sort((a, b) => a.y - b.y);
+      const side = shown.filter((item) => (item.x < middle || (item.x === middle && item.x < width / 2)) === left).sort((a, b) => a.y - b.y);
       side.forEach((item, k) => { item.at = Math.max(item.y, k ? side[k - 1].at + GAP : low); });
       for (let k = side.length - 1; k >= 0; k--) side[k].at = Math.min(side[k].at, k === side.length - 1 ? high : side[k + 1].at - GAP);
       for (const item of side) {
