@@ -15,12 +15,11 @@ from numpy.typing import ArrayLike
 from segmentation.arrays import FloatArray, IntArray
 from segmentation.errors import SurfaceError
 from segmentation.mesh import Cap, Surface
+from segmentation.mesh_closing import boundary_loops, close_loops
 from segmentation.mesh_parse import MeshPart, ParsedMesh, parse_mesh
 from segmentation.mesh_repair import (
-    boundary_loops,
     choose_component,
     clean_faces,
-    close_loops,
     closed_and_oriented,
     edge_map,
     face_components,
