@@ -149,7 +149,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         Naming the file, the table and the key.
     """
     check_keys(table, ("input", "limits", "planner", "tube"), name, "table")
-    inputs = dict(table.get("input", {}))
+    inputs = subtable(table, "input", name)
     check_keys(inputs, [f.name for f in fields(InputCase)], f"{name} [input]", "key")
     for key in ("ct", "mesh"):
         if inputs.get(key) is not None:
@@ -160,18 +160,30 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     for key in ("hu_min", "hu_max"):
         if inputs.get(key) is not None and inputs[key] != "auto":
             inputs[key] = number(inputs[key], f"{name} [input] {key}", 'a number in HU or "auto"')
+    for key in ("series", "mesh_unit", "part", "case_id", "anatomy"):
+        if inputs.get(key) is not None:
+            inputs[key] = text(inputs[key], f"{name} [input] {key}")
+    if "connectivity" in inputs:
+        inputs["connectivity"] = whole(inputs["connectivity"], f"{name} [input] connectivity")
     if inputs.get("smoothing_mm") is not None:
         inputs["smoothing_mm"] = number(inputs["smoothing_mm"], f"{name} [input] smoothing_mm")
-    planner = dict(table.get("planner", {}))
+    planner = subtable(table, "planner", name)
     check_keys(planner, [f.name for f in fields(PlannerCase)], f"{name} [planner]", "key")
     for key in ("start", "goal"):
         if planner.get(key) is not None:
             planner[key] = end_place(planner[key], f"{name} [planner] {key}")
+    for key in ("name", "method"):
+        if key in planner:
+            planner[key] = text(planner[key], f"{name} [planner] {key}")
+    if "rng_seed" in planner:
+        planner["rng_seed"] = whole(planner["rng_seed"], f"{name} [planner] rng_seed")
+    if not isinstance(planner.get("closed_ends", False), bool):
+        raise CaseError(f"{name} [planner] closed_ends: found {planner['closed_ends']!r}, expected true or false")
     if planner.get("time_budget") is not None:
         planner["time_budget"] = number(planner["time_budget"], f"{name} [planner] time_budget")
-    limits = dict(table.get("limits", {}))
+    limits = subtable(table, "limits", name)
     check_keys(limits, ("curvature_max", "clearance_min"), f"{name} [limits]", "key")
-    tube = dict(table.get("tube", {}))
+    tube = subtable(table, "tube", name)
     check_keys(tube, list(TUBE_KEYS), f"{name} [tube]", "key")
     parts: dict[str, dict[str, Any]] = {"features": {}, "refine": {}, "optimal": {}, "centerline": {}}
     for key, value in tube.items():
@@ -194,14 +206,15 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
 def tube_value(key: str, value: Any, where: str) -> Any:
     """A value of the table [tube] in the type of its setting."""
     if key == "scans":
-        return tuple(value)
+        if isinstance(value, str) or not isinstance(value, Sequence):
+            raise CaseError(f"{where}: found {value!r}, expected a list of scan names")
+        return tuple(text(scan, where) for scan in value)
     if key == "objective":
         return text(value, where)
     if key in ("start_direction", "goal_direction"):
         return point(value, where)
-    whole = ("slice_pairs", "unchanged_rounds", "max_rounds", "neighbourhood", "t5", "t6", "t7")
-    found = number(value, where)
-    return int(found) if key in whole else found
+    counts = ("slice_pairs", "unchanged_rounds", "max_rounds", "neighbourhood", "t5", "t6", "t7")
+    return whole(value, where) if key in counts else number(value, where)
 
 
 def read_case(path: Path) -> Case:
@@ -267,6 +280,14 @@ def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str, what:
             raise CaseError(f"{where}: unknown {what} {key!r}; expected one of {', '.join(known)}")
 
 
+def subtable(table: Mapping[str, Any], key: str, name: str) -> dict[str, Any]:
+    """One table of the case, as a copy; empty when it is not there."""
+    found = table.get(key, {})
+    if not isinstance(found, Mapping):
+        raise CaseError(f"{name}: {key} is {found!r}, expected a table [{key}]")
+    return dict(found)
+
+
 def text(value: Any, where: str) -> str:
     """A value that must be text."""
     if not isinstance(value, str | os.PathLike):
@@ -279,6 +300,14 @@ def number(value: Any, where: str, wanted: str = "a finite number") -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise CaseError(f"{where}: found {value!r}, expected {wanted}")
     return float(value)
+
+
+def whole(value: Any, where: str) -> int:
+    """A value that must be a whole number."""
+    found = number(value, where, "a whole number")
+    if found != round(found):
+        raise CaseError(f"{where}: found {value!r}, expected a whole number")
+    return int(found)
 
 
 def point(value: Any, where: str) -> tuple[float, float, float]:

@@ -37,6 +37,14 @@ class CenterlineSettings:
     step: float = 1.0
     smoothing: float = 5.0
 
+    def __post_init__(self) -> None:
+        if not 0.01 <= self.step <= 100.0:
+            raise CaseError(f"the centerline's step is {self.step:g} mm, expected 0.01 to 100 (Dai 2024: about 1)")
+        if not 0.0 <= self.smoothing <= 100.0:
+            raise CaseError(f"the centerline's smoothing is {self.smoothing:g} mm, expected 0 to 100")
+        if not 0.0 <= self.omega <= 100.0:
+            raise CaseError(f"the centerline's omega is {self.omega:g} 1/mm, expected 0 to 100")
+
 
 def trace_centerline(
     graph: VoronoiGraph, wall: WallDistance, start: ArrayLike, goal: ArrayLike, settings: CenterlineSettings | None = None
