@@ -28,6 +28,14 @@ SECOND_AIM = {"clearance": "mean", "length": "length", "curvature": "curvature"}
 CURVATURE_AIM = 0.9998
 CLEARANCE_TOLERANCE = 0.002
 CURVATURE_SAMPLES = 4
+# Share of the clearance that a control point may move in one round: under 1 / sqrt(3), so that no wall is passed.
+TRUST_MAX = 0.5
+REFUSALS = 4
+ATTEMPTS = 3
+# The second aim is worth less precision than the least clearance.
+MEAN_COARSER = 3.0
+# Nearer to a ceiling that no path passes is not worth a round.
+CEILING_SHARE = 0.999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +62,8 @@ class OptimalSettings:
 
     objective: str = "clearance"
     control_spacing: float = 2.5
-    keep: float = 0.998
-    tolerance: float = 2e-4
+    keep: float = 0.999
+    tolerance: float = 2.5e-4
     max_rounds: int = 40
     start_direction: tuple[float, float, float] | None = None
     goal_direction: tuple[float, float, float] | None = None
@@ -164,22 +172,15 @@ class Grid:
         """The cubic with these control points."""
         return SplineCurve(3, self.knots, control)
 
-    def measure(self, control: FloatArray, limit: float) -> State:
-        """Clearances at the samples and the proved curvature."""
+    def measure(self, control: FloatArray, limit: float, *, known: State | None = None) -> State:
+        """Clearances at the samples, with the faces found for a state near by too, and the proved curvature."""
         basis = self.clearance_basis
-        rows = wall_rows(basis.curve(control), basis.curve(control, 1), self.wall)
+        rows = wall_rows(basis.curve(control), basis.curve(control, 1), self.wall, None if known is None else known.rows.faces)
         return State(control, rows, curvature_upper_bound(self.curve(control), limit=limit, tolerance=0.002).bound)
 
     def with_samples(self, u: FloatArray) -> Grid:
         """The same with more samples for the clearance."""
         return Grid(self.knots, np.union1d(self.clearance_u, u), self.wall)
-
-    def reach(self, clearance: FloatArray) -> FloatArray:
-        """Least clearance over the stretch that each control point moves, (n,) mm."""
-        least = np.full(len(self.knots) - 4, np.inf)
-        for j in range(4):
-            np.minimum.at(least, self.clearance_basis.first + j, clearance)
-        return np.where(np.isfinite(least), least, float(clearance.min()))
 
 
 def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve | None = None) -> Iterator[Proposal]:
@@ -202,58 +203,101 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
     aim = Aim(goal="least", curvature=limits.curvature_max * CURVATURE_AIM)
     state = grid.measure(control, limits.curvature_max)
     yield proposal(grid, state, "fit", (f"spline of {len(control)} control points fitted to the centerline",))
-    best: Proposal | None = None
     fixed = (settings.start_direction is not None, settings.goal_direction is not None)
-    for done in run_phase(passage, grid, state, aim, fixed, settings):
-        grid, state, shown = done
-        best = shown
-        yield shown
-    assert best is not None
-    assert best.clearance is not None
-    second = SECOND_AIM[settings.objective]
-    floor = best.clearance.bound * settings.keep
-    if settings.objective == "clearance":
-        floor = max(floor, min(best.clearance.bound, limits.clearance_min + CLEARANCE_TOLERANCE))
-    else:
-        floor = min(best.clearance.bound, limits.clearance_min + CLEARANCE_TOLERANCE)
-    if best.curvature > limits.curvature_max:
+    ends = passage.wall.distance(passage.line[[0, -1]])
+    ceiling = float(ends.min())
+    for reached in run_phase(passage, grid, state, aim, fixed, settings, ceiling=ceiling):
+        yield reached[2]
+    grid, state, first = reached
+    assert first.clearance is not None
+    if first.curvature > limits.curvature_max:
         return
-    aim = replace(aim, goal=second, floor=np.minimum(floor + 0.5 * CLEARANCE_TOLERANCE, state.rows.clearance))
-    first = best
-    for _, _, shown in run_phase(passage, grid, state, aim, fixed, settings):
-        best = shown
-        yield shown
-    assert best.clearance is not None
-    if best.clearance.bound < floor - CLEARANCE_TOLERANCE or best.curvature > limits.curvature_max:
+    floor = first.clearance.bound * settings.keep
+    if settings.objective == "clearance":
+        floor = max(floor, min(first.clearance.bound, limits.clearance_min + CLEARANCE_TOLERANCE))
+    else:
+        floor = min(first.clearance.bound, limits.clearance_min + CLEARANCE_TOLERANCE)
+    aim = replace(aim, floor=np.minimum(floor + 0.5 * CLEARANCE_TOLERANCE, state.rows.clearance))
+    span = interior(grid, state, ends)
+    if settings.objective == "clearance" and first.least > 0.99 * ceiling and span != (0.0, 1.0):
+        yield replace(first, decisions=("an end of the path binds: the least clearance away from it is raised next",))
+        for reached in run_phase(passage, grid, state, replace(aim, span=span), fixed, settings):
+            yield reached[2]
+        grid, state, _ = reached
+        inside = replace(aim, span=span).inside(grid.clearance_u)
+        kept = np.where(inside, settings.keep * state.rows.clearance[inside].min(), floor + 0.5 * CLEARANCE_TOLERANCE)
+        aim = replace(aim, floor=np.minimum(np.maximum(kept, floor + 0.5 * CLEARANCE_TOLERANCE), state.rows.clearance))
+    for reached in run_phase(passage, grid, state, replace(aim, goal=SECOND_AIM[settings.objective]), fixed, settings):
+        yield reached[2]
+    shown = reached[2]
+    assert shown.clearance is not None
+    if shown.clearance.bound < floor - CLEARANCE_TOLERANCE or shown.curvature > limits.curvature_max:
         yield replace(first, decisions=("the second phase could not be proved: the path of the first stands",))
 
 
+def interior(grid: Grid, state: State, ends: FloatArray) -> tuple[float, float]:
+    """Parameters between which the ends' own clearances bind no more.
+
+    2 mm of path are left to an end for every mm that it is short of the median clearance;
+    an end that is short by less than 3 % is left none.
+    """
+    median = float(np.median(state.rows.clearance))
+    short = np.where(ends < 0.97 * median, median - ends, 0.0)
+    curve = grid.curve(state.control)
+    margin = np.minimum(2.0 * short, 0.15 * curve.length)
+    first, last = curve.parameter([margin[0], curve.length - margin[1]])
+    return (float(first) if short[0] > 0.0 else 0.0, float(last) if short[1] > 0.0 else 1.0)
+
+
 def run_phase(
-    passage: Passage, grid: Grid, state: State, aim: Aim, fixed: tuple[bool, bool], settings: OptimalSettings
+    passage: Passage,
+    grid: Grid,
+    state: State,
+    aim: Aim,
+    fixed: tuple[bool, bool],
+    settings: OptimalSettings,
+    *,
+    ceiling: float = np.inf,
 ) -> Iterator[tuple[Grid, State, Proposal]]:
-    """Rounds towards one aim, then its proof; what the samples missed is added and the rounds go on."""
+    """Rounds towards one aim, then its proof; what the samples missed is added and the rounds go on.
+
+    No more is asked once the least clearance comes within a thousandth of the `ceiling`.
+    """
     limit = passage.limits.curvature_max
-    for attempt in range(4):
+    for attempt in range(ATTEMPTS):
         for reached, note in rounds(grid, state, aim, limit, fixed, settings):
             state = reached
             yield grid, state, proposal(grid, state, aim.goal, (note,))
-        curve = grid.curve(state.control)
-        proved = clearance_lower_bound(curve, passage.wall, tolerance=CLEARANCE_TOLERANCE)
-        missed = state.least - proved.sampled
-        sharp = state.curvature > limit
-        last = attempt == 3 or not (missed > 2.0 * CLEARANCE_TOLERANCE or (sharp and state.curvature < 1.02 * limit))
-        note = f"clearance proved to be at least {proved.bound:.3f} mm, curvature at most {state.curvature:.4f} 1/mm"
-        if last:
-            yield grid, state, replace(proposal(grid, state, aim.goal, (note,)), clearance=proved)
-            return
+            if state.least > CEILING_SHARE * ceiling and state.curvature <= limit:
+                break
+        missed = missed_places(grid, state, aim)
+        sharp = limit < state.curvature < 1.02 * limit
+        if attempt == ATTEMPTS - 1 or not (len(missed) or sharp):
+            break
         if sharp:
             aim = replace(aim, curvature=aim.curvature * limit / state.curvature * CURVATURE_AIM)
-        added = np.clip(proved.at + np.array([-0.5, 0.0, 0.5]) * np.diff(grid.clearance_u).min(), 0.0, 1.0)
-        floor = np.interp(
-            np.union1d(grid.clearance_u, added), grid.clearance_u, np.broadcast_to(aim.floor, grid.clearance_u.shape)
-        )
-        grid, aim = grid.with_samples(added), replace(aim, floor=floor)
+        finer = grid.with_samples(missed)
+        floor = np.interp(finer.clearance_u, grid.clearance_u, np.broadcast_to(aim.floor, grid.clearance_u.shape))
+        grid, aim = finer, replace(aim, floor=floor)
         state = grid.measure(state.control, limit)
+    proved = clearance_lower_bound(grid.curve(state.control), passage.wall, tolerance=CLEARANCE_TOLERANCE)
+    note = f"clearance proved to be at least {proved.bound:.3f} mm, curvature at most {state.curvature:.4f} 1/mm"
+    yield grid, state, replace(proposal(grid, state, aim.goal, (note,)), clearance=proved)
+
+
+def missed_places(grid: Grid, state: State, aim: Aim) -> FloatArray:
+    """Parameters between the samples at which the clearance has a minimum below that of all samples in the aim's span."""
+    share = np.arange(1, 4) / 4.0
+    u = (grid.clearance_u[:-1, None] + np.diff(grid.clearance_u)[:, None] * share).ravel()
+    basis = Basis.at(grid.knots, u)
+    clearance = wall_rows(basis.curve(state.control), basis.curve(state.control, 1), grid.wall).clearance
+    padded = np.concatenate([[np.inf], clearance, [np.inf]])
+    lowest = (
+        (clearance <= padded[:-2])
+        & (clearance <= padded[2:])
+        & (clearance < state.rows.clearance[aim.inside(grid.clearance_u)].min() - CLEARANCE_TOLERANCE)
+    )
+    return np.asarray(u[lowest & aim.inside(u)])
 
 
 def rounds(
@@ -262,45 +306,44 @@ def rounds(
     """Accepted steps of one phase, each with what it did in words."""
     scale = max(float(np.median(state.rows.clearance)), 1e-3)
     penalty = 20.0 * scale
+    enough = settings.tolerance * scale * (1.0 if aim.goal == "least" else MEAN_COARSER)
     trust, idle, refused = 0.3, 0, 0
     for _ in range(settings.max_rounds):
-        problem = StepProblem(state.control, grid.clearance_basis, grid.curvature_basis, state.rows, fixed)
-        now = merit(grid, state, aim, penalty)
-        found = problem.solve(aim, trust * grid.reach(state.rows.clearance), penalty)
-        if found is None:
-            trust *= 0.25
-            if trust < 1e-4:
-                return
-            continue
-        control, cost = found
-        after = grid.measure(control, limit)
-        gain, promise = now - merit(grid, after, aim, penalty), now - cost
-        if gain > 0.0:
+        problem = StepProblem(state.control, grid.clearance_u, grid.clearance_basis, grid.curvature_basis, state.rows, fixed)
+        now = merit(grid, state, aim, limit, penalty)
+        found = problem.solve(aim, trust, penalty)
+        gain, promise = 0.0, np.inf
+        if found is not None:
+            after = grid.measure(found[0], limit, known=state)
+            gain, promise = now - merit(grid, after, aim, limit, penalty), now - found[1]
+        if found is not None and gain > 0.0:
             note = (
                 f"{aim.goal}: clearance least {after.least:.3f}, mean {after.mean:.3f} mm, curvature {after.curvature:.4f} 1/mm"
             )
             if refused:
                 note += f"; {refused} longer steps refused"
             state, refused = after, 0
+            idle = idle + 1 if gain < enough else 0
             yield state, note
         else:
             refused += 1
-        trust = trust * 0.3 if gain < 0.2 * promise else min(trust * 2.0, 0.5) if gain > 0.7 * promise else trust
-        idle = (
-            idle + 1
-            if max(gain, 0.0) < settings.tolerance * scale and (gain > 0.0 or promise < settings.tolerance * scale)
-            else 0
-        )
-        if idle >= 2 or trust < 1e-4:
+            if found is not None:
+                state = grid.measure(state.control, limit, known=after)
+        if gain < 0.25 * promise:
+            trust *= 0.3
+        elif gain > 0.7 * promise:
+            trust = min(2.0 * trust, TRUST_MAX)
+        if idle >= 2 or promise < enough or refused >= REFUSALS:
             return
 
 
-def merit(grid: Grid, state: State, aim: Aim, penalty: float) -> float:
-    """Cost of a state as it truly is, in the units of the step's programme."""
-    excess = max(state.curvature / aim.curvature - 1.0, 0.0)
-    if aim.goal == "least":
-        return penalty * excess - state.least - MEAN_SHARE * state.mean
+def merit(grid: Grid, state: State, aim: Aim, limit: float, penalty: float) -> float:
+    """Cost of a state as it truly is, in the units of the step's programme; bends up to the limit itself are free."""
+    excess = max(state.curvature / limit - 1.0, 0.0)
     short = float(np.maximum(np.broadcast_to(aim.floor, state.rows.clearance.shape) - state.rows.clearance, 0.0).max())
+    if aim.goal == "least":
+        least = float(state.rows.clearance[aim.inside(grid.clearance_u)].min())
+        return penalty * (excess + short) - least - MEAN_SHARE * state.mean
     if aim.goal == "curvature":
         return state.curvature / aim.curvature + penalty * short
     if aim.goal == "mean":

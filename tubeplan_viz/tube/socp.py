@@ -18,12 +18,12 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.sparse import coo_matrix, csc_matrix
 
-from segmentation.arrays import FloatArray, IntArray
+from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.geometry import WallDistance
 
 # Directions around the path in which wall is looked for, and how far out from it, as a
 # share of the clearance: far enough that the nearest face lies in that direction.
-DIRECTIONS = 8
+DIRECTIONS = 12
 PROBE = 0.7
 NEAREST = 4
 # The path's speed may not fall under this share of its mean: a near-cusp hides between samples.
@@ -76,16 +76,19 @@ class WallRows:
     distance : (r,) float array, mm
     clearance : (m,) float array, mm
         Least distance of each sample.
+    faces : (m, k) int array
+        The faces that were found anew for each sample.
     """
 
     sample: IntArray
     normal: FloatArray
     distance: FloatArray
     clearance: FloatArray
+    faces: IntArray
 
 
-def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance) -> WallRows:
-    """The nearest faces of each point, and those that lie in `DIRECTIONS` directions across the path.
+def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance, known: IntArray | None = None) -> WallRows:
+    """The nearest faces of each point, those in `DIRECTIONS` directions across the path, and the `known` (m, k) ones.
 
     All are faces of the wall and their distances exact; that none nearer was missed is left
     to the certificate.
@@ -93,15 +96,15 @@ def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance) -> W
     triangles = wall.triangles
     m = len(points)
     near = triangles.likely_nearest(points, NEAREST)
-    count = near.shape[1]
     gap = np.linalg.norm(points[:, None] - _closest(wall, points, near), axis=2).min(axis=1)
     side, up = across(tangents)
     angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     offset = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
     probes = points[:, None] + PROBE * gap[:, None, None] * offset
     around = triangles.likely_nearest(probes.reshape(-1, 3)).reshape(m, DIRECTIONS)
-    faces = np.sort(np.concatenate([near, around], axis=1), axis=1)
-    fresh = np.ones((m, count + DIRECTIONS), dtype=bool)
+    found = np.concatenate([near, around], axis=1)
+    faces = np.sort(found if known is None else np.concatenate([found, known], axis=1), axis=1)
+    fresh = np.ones(faces.shape, dtype=bool)
     fresh[:, 1:] = faces[:, 1:] != faces[:, :-1]
     sample, column = np.nonzero(fresh)
     foot = triangles.closest(points[sample], faces[sample, column])
@@ -109,7 +112,7 @@ def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance) -> W
     distance = np.linalg.norm(away, axis=1)
     clearance = np.full(m, np.inf)
     np.minimum.at(clearance, sample, distance)
-    return WallRows(sample.astype(np.int64), away / np.maximum(distance, 1e-12)[:, None], distance, clearance)
+    return WallRows(sample.astype(np.int64), away / np.maximum(distance, 1e-12)[:, None], distance, clearance, found)
 
 
 def _closest(wall: WallDistance, points: FloatArray, faces: IntArray) -> FloatArray:
@@ -137,12 +140,19 @@ class Aim:
     curvature : float, 1/mm
         Limit on the curvature; for "curvature" only the unit it is measured in.
     floor : (m,) float array or 0, mm
-        Clearance that each sample is to keep; one that is under it may not lose more. Not for "least".
+        Clearance that each sample is to keep; one that is under it may not lose more.
+    span : (first, last) parameter
+        Stretch whose least clearance is raised; elsewhere the floor alone counts.
     """
 
     goal: str
     curvature: float
     floor: FloatArray | float = 0.0
+    span: tuple[float, float] = (0.0, 1.0)
+
+    def inside(self, u: FloatArray) -> BoolArray:
+        """Which parameters lie in the span."""
+        return np.asarray((u >= self.span[0]) & (u <= self.span[1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +162,7 @@ class StepProblem:
     Attributes
     ----------
     control : (n, 3) float array, mm
+    clearance_u : (m,) float array
     clearance_basis, curvature_basis : Basis
         At the samples for each limit.
     rows : WallRows
@@ -161,6 +172,7 @@ class StepProblem:
     """
 
     control: FloatArray
+    clearance_u: FloatArray
     clearance_basis: Basis
     curvature_basis: Basis
     rows: WallRows
@@ -170,14 +182,14 @@ class StepProblem:
     def _unknowns(self) -> int:
         return 3 * (len(self.control) - 2)
 
-    def solve(self, aim: Aim, radius: FloatArray, penalty: float) -> tuple[FloatArray, float] | None:
-        """Control points after the best step within the boxes, and the gain it promises.
+    def solve(self, aim: Aim, trust: float, penalty: float) -> tuple[FloatArray, float] | None:
+        """Control points after the best step within the boxes, and the cost it promises.
 
         Parameters
         ----------
         aim : Aim
-        radius : (n,) float array, mm
-            Half the edge of each control point's box.
+        trust : float
+            Half the edge of each control point's box, as a share of the least clearance that it moves.
         penalty : float
             Cost of curvature beyond its limit, per unit of its share.
 
@@ -191,10 +203,10 @@ class StepProblem:
         width = unknowns + samples + 2
         # Blocks of A x + s = b with s in the cones: (rows, columns, values, b).
         linear = [
-            self._wall_block(unknowns),
+            self._wall_block(unknowns, trust),
             self._floor_block(aim, unknowns, least),
             self._speed_block(),
-            self._box_block(radius),
+            self._box_block(trust),
             (np.array([0]), np.array([excess]), np.array([-1.0]), np.array([0.0])),
         ]
         equal = self._direction_blocks()
@@ -218,38 +230,37 @@ class StepProblem:
         x = np.asarray(solution.x)
         control = np.array(self.control)
         control[1:-1] += x[:unknowns].reshape(-1, 3)
-        return control, float(base - solution.obj_val)
+        return control, float(solution.obj_val) + base
 
     def _cost(
         self, aim: Aim, width: int, unknowns: int, least: int, excess: int, penalty: float
     ) -> tuple[csc_matrix, FloatArray, float]:
-        """Quadratic and linear cost, and the cost of standing still but for the penalty.
+        """Quadratic and linear cost, and what the cost lacks of `optimal.merit`.
 
         The least clearance t is held at zero from above, and by its cost from below, where it is not the goal.
         """
         cost = np.zeros(width)
         samples = least - unknowns
-        clearance = self.rows.clearance
         cost[excess] = penalty
         cost[least] = -1e-3
         empty = csc_matrix((width, width))
         if aim.goal == "least":
             cost[least] = -1.0
             cost[unknowns:least] = -MEAN_SHARE / samples
-            return empty, cost, -float(clearance.min() + MEAN_SHARE * clearance.mean())
+            return empty, cost, 0.0
         if aim.goal == "mean":
             cost[unknowns:least] = -1.0 / samples
-            return empty, cost, -float(clearance.mean())
+            return empty, cost, 0.0
         if aim.goal == "curvature":
             cost[excess] = 1.0
-            return empty, cost, self.acceleration_share(aim.curvature)
+            return empty, cost, 0.0
         # The integral of |F'|^2 over u is least for the shortest path at even speed, and then its square.
         speed = self.curvature_basis.curve(self.control, 1)
         gradient, hessian = self._energy()
-        length = float(np.linalg.norm(speed, axis=1).mean())
+        length = float(np.sqrt((speed**2).sum(axis=1).mean()))
         cost[:unknowns] = gradient / (2.0 * length)
         quadratic = coo_matrix((hessian.data / (2.0 * length), (hessian.row, hessian.col)), shape=(width, width))
-        return csc_matrix(quadratic), cost, 0.0
+        return csc_matrix(quadratic), cost, length
 
     def _energy(self) -> tuple[FloatArray, coo_matrix]:
         """Gradient and upper half of the Hessian of the mean of |F'|^2 in the moves."""
@@ -282,23 +293,27 @@ class StepProblem:
         keep = np.broadcast_to(free[:, :, None], columns.shape)
         return rows[keep], columns[keep], values[keep]
 
-    def _wall_block(self, unknowns: int) -> _Block:
+    def _wall_block(self, unknowns: int, trust: float) -> _Block:
         """s_i <= distance to each tangent plane of the wall: s_i - n . dF_i <= d."""
-        sample, normal, distance = self.rows.sample, self.rows.normal, self.rows.distance
+        rows = self.rows
+        # A face that stays farther than the nearest one however the path moves in its boxes says nothing.
+        near = rows.distance <= rows.clearance[rows.sample] * (1.0 + 2.0 * np.sqrt(3.0) * trust)
+        sample, normal, distance = rows.sample[near], rows.normal[near], rows.distance[near]
         row = np.arange(len(sample))
         r, c, v = self._moves(row, sample, self.clearance_basis, [(0, -normal)])
         return np.concatenate([r, row]), np.concatenate([c, unknowns + sample]), np.concatenate([v, np.ones(len(row))]), distance
 
     def _floor_block(self, aim: Aim, unknowns: int, least: int) -> _Block:
-        """s_i >= t for the least clearance; s_i >= its floor otherwise, and t fixed by its own floor."""
+        """s_i >= its floor; and s_i >= t in the span of the least clearance, or t <= 0 where that is not the goal."""
         clearance = self.rows.clearance
         m = len(clearance)
-        row = np.arange(m)
         floor = -np.minimum(aim.floor, clearance)
-        if aim.goal != "least":
-            return np.append(row, m), np.append(unknowns + row, least), np.append(-np.ones(m), 1.0), np.append(floor, 0.0)
-        rows, columns = np.concatenate([row, row]), np.concatenate([unknowns + row, np.full(m, least)])
-        return rows, columns, np.concatenate([-np.ones(m), np.ones(m)]), np.zeros(m)
+        counted = np.flatnonzero(aim.inside(self.clearance_u)) if aim.goal == "least" else np.empty(0, dtype=np.int64)
+        k = max(len(counted), 1)
+        rows = np.concatenate([np.arange(m), m + np.arange(len(counted)), m + np.arange(k)])
+        columns = np.concatenate([unknowns + np.arange(m), unknowns + counted, np.full(k, least)])
+        values = np.concatenate([-np.ones(m + len(counted)), np.ones(k)])
+        return rows, columns, values, np.concatenate([floor, np.zeros(k)])
 
     def _speed_block(self) -> _Block:
         """T . F' stays above a share of the mean speed: no cusp, no turning back."""
@@ -311,8 +326,13 @@ class StepProblem:
         mean = float(speed.mean())
         return r, c, v / mean, (speed - np.minimum(SPEED_MIN * mean, 0.9 * speed)) / mean
 
-    def _box_block(self, radius: FloatArray) -> _Block:
-        """|move| <= radius for every coordinate."""
+    def _box_block(self, trust: float) -> _Block:
+        """|move| <= trust times the clearance, for every coordinate."""
+        clearance = self.rows.clearance
+        radius = np.full(len(self.control), np.inf)
+        for j in range(4):
+            np.minimum.at(radius, self.clearance_basis.first + j, trust * clearance)
+        radius = np.where(np.isfinite(radius), radius, trust * clearance.min())
         column = np.arange(self._unknowns)
         bound = np.repeat(radius[1:-1], 3)
         ones = np.ones(self._unknowns)
@@ -373,7 +393,7 @@ def solver_settings() -> clarabel.DefaultSettings:
     """Clarabel, silent, to the precision that a step needs, on one thread so that results repeat."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = 1e-6
-    settings.tol_feas = 1e-7
+    settings.tol_gap_abs = settings.tol_gap_rel = 1e-5
+    settings.tol_feas = 1e-6
     settings.max_iter = 60
     return settings
