@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from segmentation.caps import mark_flat_ends
 
 from reports import write_report
+from segmentation.caps import mark_flat_ends
 from segmentation.errors import CaseError
 from segmentation.images import read_ct
 from segmentation.lumen import SegmentationSettings, segment_lumen
@@ -30,7 +30,8 @@ from tubeplan_viz.recording import Recording
 from tubeplan_viz.result import Provenance, Review, RunFolder, build_result, path_csv, plain, slicer_markups
 from tubeplan_viz.tube import TubeProblem, conclude, pose_problem, tube_steps
 
-SEGMENTATION_FILES = ("mask.nii.gz", "mesh.ply", "segmentation.json")
+# The first names the kind of folder.
+SEGMENTATION_FILES = ("segmentation.json", "mask.nii.gz", "mesh.ply")
 
 # Called with the stage, and how many of how many parts of it are done (0 of 0: unknown).
 Notify = Callable[[str, int, int], None]
@@ -134,7 +135,7 @@ def lumen_of_ct(case: InputCase, watch: Stopwatch) -> Lumen:
         **image.facts,
         "Lumen": f"{settings.anatomy}, grown from {region.hu_min:.0f} to {region.hu_max:.0f} HU, {region.volume_ml:.1f} ml",
         "Seed": "{:.1f}, {:.1f}, {:.1f} mm".format(*seed),
-        "Surface": f"{len(made.surface.faces):,} triangles, closed, {made.surface.volume_ml:.1f} ml".replace(",", "\u202f"),
+        "Surface": f"{len(made.surface.faces)} triangles, closed, {made.surface.volume_ml:.1f} ml",
         "Deviation from the CT": "mean {mean:.2f} mm, 95 % below {p95:.2f} mm, largest {max:.2f} mm".format(**deviation),
     }
     if region.border:
@@ -456,7 +457,7 @@ def segment_case(case: InputCase, target: Path, *, force: bool = False, notify: 
             write_mask(lumen.region, lumen.volume, folder.path("mask.nii.gz"))
             surface = write_ply(lumen.surface, folder.path("mesh.ply"))
         summary: dict[str, Any] = {
-            "software": "tubeplan",
+            "provenance": {"software": "tubeplan"},
             "use": "research use, not for clinical decisions",
             "frame": surface.frame,
             "facts": dict(lumen.facts),

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated
 
-import click
 import typer
+from typer.exceptions import TyperException
 
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
@@ -71,13 +71,12 @@ def status_of(arguments: Sequence[str] | None = None) -> int:
             args=None if arguments is None else list(arguments), prog_name="tubeplan", standalone_mode=False
         )
         return outcome if isinstance(outcome, int) else OK
-    except click.UsageError as fault:
-        command = fault.ctx.command_path if fault.ctx else "tubeplan"
-        complain(f"{fault.format_message()} See `{command} --help`.")
+    except TyperException as fault:
+        usage_fault(fault)
         return BAD_INPUT
-    except click.exceptions.Exit as end:
+    except typer.Exit as end:
         return end.exit_code
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         complain("interrupted; nothing was written")
         return INTERRUPTED
     except NoPathError as fault:
@@ -95,6 +94,18 @@ def status_of(arguments: Sequence[str] | None = None) -> int:
             f"(in {frame.name}, line {frame.lineno} of {frame.filename.rsplit('/', 1)[-1]})"
         )
         return FAULT
+
+
+def usage_fault(fault: TyperException) -> None:
+    """One sentence about a wrong option or argument; the help itself where no command was named."""
+    # typer keeps the class of its own usage errors private, but not what they offer.
+    text = fault.format_message() if hasattr(fault, "format_message") else str(fault)
+    context = getattr(fault, "ctx", None)
+    command = context.command_path if context else "tubeplan"
+    if text.startswith("Usage:"):
+        typer.echo(text, err=True)
+    else:
+        complain(f"{text.rstrip('.')}; see `{command} --help`")
 
 
 def complain(message: str) -> None:

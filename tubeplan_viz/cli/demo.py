@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from segmentation.synthetic import write_demo_series
+from segmentation.errors import CaseError
+from segmentation.synthetic import CollectingSystem, write_demo_series
 from tubeplan_viz.case import make_case
 from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet
 from tubeplan_viz.cli.show import progress, report_plan
@@ -17,7 +18,7 @@ from tubeplan_viz.pipeline import run_case
 
 def demo(
     output: Output = Path("tubeplan-demo"),
-    goal: Annotated[str, typer.Option("--goal", help="upper, middle or lower calyx.")] = "lower",
+    goal: Annotated[str, typer.Option("--goal", help='Calyx, e.g. "upper 1", "middle 1", "lower 1".')] = "lower 1",
     force: Force = False,
     open_report: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
     no_recording: NoRecording = False,
@@ -33,12 +34,12 @@ def demo(
     """
     series = output.resolve().parent / f"{output.resolve().name}-ct"
     with progress(quiet) as notify:
-        notify("generate CT", 0, 0)
-        truth = write_demo_series(series)
+        make_room(series, force)
+        truth = write_demo_series(series, progress=lambda done, total: notify("generate CT", done, total))
         case = make_case(
             {
                 "input": {"ct": series, "case_id": "demo-urography", "anatomy": "urinary"},
-                "planner": {"start": tuple(truth.start), "goal": tuple(truth.goals[goal])},
+                "planner": {"start": tuple(truth.start.tolist()), "goal": goal_of(truth, goal)},
             },
             name="demo",
         )
@@ -47,3 +48,24 @@ def demo(
     if open_report and (output / "report.html").exists():
         webbrowser.open((output / "report.html").resolve().as_uri())
     raise typer.Exit(status)
+
+
+def make_room(series: Path, force: bool) -> None:
+    """Refuse a folder that is in the way; with `force` empty it, if it holds nothing but DICOM slices."""
+    if not series.exists() or not any(series.iterdir()):
+        return
+    if not force:
+        raise CaseError(f"{series.name} exists already; choose another name with -o, or replace it with --force")
+    files = list(series.iterdir())
+    if any(file.suffix != ".dcm" or not file.is_file() for file in files):
+        raise CaseError(f"{series.name} holds more than DICOM slices and is not replaced; choose another name with -o")
+    for file in files:
+        file.unlink()
+
+
+def goal_of(truth: CollectingSystem, name: str) -> tuple[float, ...]:
+    """The goal point of a calyx by its name."""
+    goals = dict(truth.goals)
+    if name not in goals:
+        raise CaseError(f"the demo has no calyx {name!r}, expected one of {', '.join(goals)}")
+    return tuple(goals[name].tolist())

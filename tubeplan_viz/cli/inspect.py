@@ -20,6 +20,7 @@ MESHES = (".stl", ".ply", ".obj", ".glb")
 
 def inspect(
     path: Annotated[Path, typer.Argument(help="DICOM folder, volume file or mesh file.")],
+    pixels: Annotated[bool, typer.Option("--pixels", help="Decode every DICOM slice too and name damaged ones.")] = False,
     json: Json = False,
 ) -> None:
     """List what is in a DICOM folder, volume or mesh: series, geometry, faults.
@@ -28,7 +29,7 @@ def inspect(
     """
     if not path.exists():
         raise CaseError(f"{path.name}: no such file or folder")
-    found = inspect_mesh(path) if path.suffix.lower() in MESHES else inspect_path(path)
+    found = inspect_mesh(path) if path.suffix.lower() in MESHES else inspect_path(path, pixels=pixels)
     if json:
         typer.echo(json_text.dumps(found, indent=1))
         return

@@ -24,13 +24,10 @@ def verify(
     """
     verification = verify_run(run_folder)
     if json:
-        checks = [
-            {"name": c.name, "ok": c.ok, "found": c.found, "expected": c.expected, "text": c.text} for c in verification.checks
-        ]
-        typer.echo(json_text.dumps({"holds": verification.holds, "checks": checks}, indent=1))
+        typer.echo(json_text.dumps(verification.as_dict(), indent=1))
     else:
         for check in verification.checks:
-            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.text}")
+            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
         failed = sum(not check.ok for check in verification.checks)
         typer.echo(f"{len(verification.checks) - failed} of {len(verification.checks)} checks hold")
     raise typer.Exit(0 if verification.holds else 3)

@@ -15,7 +15,7 @@ import shutil
 import signal
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self
@@ -48,6 +48,9 @@ class RunFolder:
     force : bool
         Replace an earlier run of that name. The old one is removed after the new
         one is in its place.
+    files : sequence of str
+        Names that the folder may hold; a JSON file first, by whose ``provenance.software`` an
+        earlier folder of this kind is known.
 
     Attributes
     ----------
@@ -68,9 +71,10 @@ class RunFolder:
     (True, False)
     """
 
-    def __init__(self, target: Path, *, force: bool = False) -> None:
+    def __init__(self, target: Path, *, force: bool = False, files: Sequence[str] = FILES) -> None:
         self._target = Path(os.path.abspath(target))
         self._force = force
+        self._files = tuple(files)
         self._partial: Path | None = None
         self._finished = False
         self._handlers: dict[signal.Signals, Any] = {}
@@ -111,8 +115,8 @@ class RunFolder:
         """Where to write the file `name` while the run is unfinished."""
         if self._partial is None or self._finished:
             raise RunFolderError(f"{name}: the run folder is not open, expected between entering and finish")
-        if name not in FILES:
-            raise RunFolderError(f"{name} is no file of a run folder, expected one of {', '.join(FILES)}")
+        if name not in self._files:
+            raise RunFolderError(f"{name} is no file of a run folder, expected one of {', '.join(self._files)}")
         return self._partial / name
 
     def write_bytes(self, name: str, content: bytes) -> None:
@@ -152,23 +156,43 @@ class RunFolder:
             If the folder cannot appear under its name.
         """
         partial = self.path(RESULT).parent
-        names = sorted(entry.name for entry in partial.iterdir() if entry.name != RESULT)
-        foreign = [name for name in names if name not in FILES]
-        if foreign:
-            raise RunFolderError(f"{self.name}: {', '.join(foreign)} was left in the folder, expected only {', '.join(FILES)}")
+        names = self._names(partial)
         document: dict[str, Any] = plain(result)
         document["provenance"]["outputs"] = [{"name": name, "sha256": file_sha256(partial / name)} for name in names]
         validate_result(document)
         self.write_text(RESULT, result_text(document))
-        for name in names:
+        self.appear()
+        return document
+
+    def appear(self) -> None:
+        """Flush every file and let the folder appear under its name, as it is.
+
+        Raises
+        ------
+        RunFolderError
+            If a file does not belong into it, or it cannot appear.
+        """
+        marker = self.path(self._files[0])
+        partial = marker.parent
+        if not marker.exists():
+            raise RunFolderError(f"{self.name}: {marker.name} was not written, expected it before the folder appears")
+        for name in [*self._names(partial), self._files[0]]:
             os.chmod(partial / name, 0o600)
             _flush(partial / name)
         _flush(partial)
-        self._appear(partial)
+        self._replace(partial)
         _flush(self._target.parent)
-        return document
 
-    def _appear(self, partial: Path) -> None:
+    def _names(self, partial: Path) -> list[str]:
+        """Files written so far, but for the first of `files`."""
+        names = sorted(entry.name for entry in partial.iterdir() if entry.name != self._files[0])
+        foreign = [name for name in names if name not in self._files]
+        if foreign:
+            expected = ", ".join(self._files)
+            raise RunFolderError(f"{self.name}: {', '.join(foreign)} was left in the folder, expected only {expected}")
+        return names
+
+    def _replace(self, partial: Path) -> None:
         self._check_target()
         old: Path | None = None
         try:
@@ -203,14 +227,14 @@ class RunFolder:
         if not self._force:
             raise RunFolderError(f"{self.name} exists already; choose another name, or replace that run with --force")
         present = sorted(entry.name for entry in self._target.iterdir())
-        foreign = [name for name in present if name not in FILES]
+        foreign = [name for name in present if name not in self._files]
         if foreign:
             raise RunFolderError(
                 f"{self.name} holds {foreign[0]}, which is no part of a run, and is not replaced; choose another name"
             )
-        if present and not is_run(self._target):
+        if present and not is_run(self._target, self._files[0]):
             raise RunFolderError(
-                f"{self.name} is no tubeplan run (no result.json of one) and is not replaced; choose another name"
+                f"{self.name} is no tubeplan run (no {self._files[0]} of one) and is not replaced; choose another name"
             )
 
     def _catch_signals(self) -> None:
@@ -231,10 +255,10 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt(signal.Signals(number).name)
 
 
-def is_run(folder: Path) -> bool:
-    """Whether the folder's result.json says that tubeplan wrote it."""
+def is_run(folder: Path, marker: str = RESULT) -> bool:
+    """Whether the folder's result.json (or another marker) says that tubeplan wrote it."""
     try:
-        document = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        document = json.loads((folder / marker).read_text(encoding="utf-8"))
         return bool(document["provenance"]["software"] == SOFTWARE)
     except (OSError, ValueError, KeyError, TypeError):
         return False

@@ -68,6 +68,18 @@ class RefineSettings:
             )
         if self.max_rounds < 0:
             raise CaseError(f"max_rounds is {self.max_rounds}, expected 0 or more")
+        if not 0.01 <= self.sample_spacing <= 10.0:
+            raise CaseError(f"sample_spacing is {self.sample_spacing:g} mm, expected 0.01 to 10")
+        if min(self.slice_pairs, self.unchanged_rounds) < 1:
+            raise CaseError(
+                f"slice_pairs is {self.slice_pairs} and unchanged_rounds {self.unchanged_rounds}; expected at least 1 of each"
+            )
+        if not 0.0 <= self.short_run <= 1000.0 or not 0.0 <= self.sigma_growth <= 100.0:
+            raise CaseError(
+                f"short_run is {self.short_run:g} mm and sigma_growth {self.sigma_growth:g}; expected 0 to 1000 and 0 to 100"
+            )
+        if not 0.5 <= self.aim <= 1.0:
+            raise CaseError(f"aim is {self.aim:g}, expected 0.5 to 1 (share of the curvature limit)")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -135,15 +147,14 @@ def refine(
         if unchanged >= settings.unchanged_rounds:
             return
         last_sharp, last_worst = sharp, worst
+        curve, features, moved = relax_inside(features, moving, [f for f, _ in added], slices, grid, settings)
         if len(moving):
             decisions.append(
                 f"curvature {worst:.4f} 1/mm of {limits.curvature_max:g}: "
-                f"{len(moving)} features moved towards their circles' centres"
+                f"{moved} features moved towards their circles' centres"
+                + (f", {len(moving) - moved} held, the path would leave the lumen" if moved < len(moving) else "")
             )
-        features = relax(features, moving, settings)
-        features = tuple(sorted((*features, *(f for f, _ in added)), key=lambda f: f.u))
-        curve, features = through(features)
-        yield Round(index=index, curve=curve, features=features, moved=len(moving), added=len(added), decisions=tuple(decisions))
+        yield Round(index=index, curve=curve, features=features, moved=moved, added=len(added), decisions=tuple(decisions))
 
 
 def through(features: tuple[Feature, ...]) -> tuple[SplineCurve, tuple[Feature, ...]]:
@@ -170,18 +181,21 @@ def missing_features(
     """For each long run of short clearance: the centerline point nearest to its worst sample, and that clearance.
 
     A point closer to a feature than two centerline steps is not added: it would put a
-    kink into the spline where the centerline itself is too near to the wall.
+    kink into the spline where the centerline itself is too near to the wall. Where the path
+    leaves the lumen, however briefly, the nearest point is taken in any case.
     """
     found: list[tuple[Feature, float]] = []
     taken = np.array([f.point for f in features])
     step = float(np.diff(centerline.arc_length).mean())
     for run in runs(short):
-        if (run[-1] - run[0]) * settings.sample_spacing < settings.short_run:
+        depths = values[np.searchsorted(short, run)]
+        leaves = bool(depths.min() <= 0)
+        if (run[-1] - run[0]) * settings.sample_spacing < settings.short_run and not leaves:
             continue
-        position = int(run[0] + np.argmin(values[np.searchsorted(short, run)]))
+        position = int(run[0] + np.argmin(depths))
         place = curve(grid[[position]])[0]
         point = centerline.points[int(tree.query(place)[1])]
-        if np.linalg.norm(taken - point, axis=1).min() < 2.0 * step:
+        if np.linalg.norm(taken - point, axis=1).min() < (0.5 if leaves else 2.0) * step:
             continue
         taken = np.vstack([taken, point])
         value = float(values[np.searchsorted(short, position)])
@@ -206,6 +220,40 @@ def features_of_runs(sharp: IntArray, u: FloatArray, knots: FloatArray) -> IntAr
         inside = set(range(first, stop)) - {0, last}
         chosen |= inside or {first - 1, stop} & set(range(1, last))
     return np.array(sorted(chosen), dtype=np.int64)
+
+
+def relax_inside(
+    features: tuple[Feature, ...],
+    moving: IntArray,
+    added: list[Feature],
+    slices: SliceClearance,
+    grid: FloatArray,
+    settings: RefineSettings,
+) -> tuple[SplineCurve, tuple[Feature, ...], int]:
+    """Relax and insert features; those whose move would take the path out of the lumen stay where they are.
+
+    The text relaxes whatever the wall does. In a lumen narrower than its bends that walks
+    the path through the wall, and a path outside is no answer: a bend that stays too sharp
+    is flagged instead.
+
+    Returns
+    -------
+    curve : SplineCurve
+    features : tuple of Feature
+    moved : int
+        How many features were moved.
+    """
+    knots = np.array([f.u for f in features])
+    while True:
+        relaxed = relax(features, moving, settings)
+        curve, merged = through(tuple(sorted((*relaxed, *added), key=lambda f: f.u)))
+        outside = slices.outside(curve, grid)
+        if not len(outside) or not len(moving):
+            return curve, merged, len(moving)
+        right = np.searchsorted(knots, grid[outside])
+        kept = np.setdiff1d(moving, np.concatenate([right - 1, right]))
+        # With no mover beside the place a farther one did it; then none may move.
+        moving = kept if len(kept) < len(moving) else moving[:0]
 
 
 def relax(features: tuple[Feature, ...], moving: IntArray, settings: RefineSettings) -> tuple[Feature, ...]:

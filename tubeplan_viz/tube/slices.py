@@ -52,6 +52,11 @@ class SliceClearance:
         short = values < self.limit
         return suspects[short], values[short]
 
+    def outside(self, curve: SplineCurve, u: FloatArray) -> IntArray:
+        """Indices of the samples that lie outside the lumen or on its wall."""
+        self._suspects(curve(u))
+        return np.flatnonzero(self._distance <= 0)
+
     def _suspects(self, points: FloatArray) -> IntArray:
         """Samples whose exact distance is below the limit; distances known to be above are not asked again."""
         if self._points is None or len(self._points) != len(points):
