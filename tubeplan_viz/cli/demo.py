@@ -18,7 +18,7 @@ from tubeplan_viz.pipeline import run_case
 
 def demo(
     output: Output = Path("tubeplan-demo"),
-    goal: Annotated[str, typer.Option("--goal", help='Calyx, e.g. "upper 1", "middle 1", "lower 1".')] = "lower 1",
+    goal: Annotated[str, typer.Option("--goal", help='Calyx, e.g. "upper 1", "middle 1", "lower 1".')] = "lower 2",
     force: Force = False,
     open_report: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
     no_recording: NoRecording = False,
