@@ -1,0 +1,1 @@
+"""Flexible needles: kinematics, obstacles, planar forms, swarm, replanning."""
