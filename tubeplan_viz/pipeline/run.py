@@ -1,0 +1,200 @@
+"""One case from its input to its run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from reports import write_report
+from segmentation.mesh import Surface
+from segmentation.mesh_files import write_ply
+from tubeplan_viz.case import Case, case_table, case_text
+from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
+from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
+from tubeplan_viz.pipeline.tree import Tree, endpoint_details, pose_case
+from tubeplan_viz.plan import Plan, PlanStep
+from tubeplan_viz.recording import Recording
+from tubeplan_viz.result import Provenance, Review, RunFolder, build_result, path_csv, slicer_markups
+from tubeplan_viz.tube import TubeProblem, conclude, tube_steps
+
+
+def run_case(
+    case: Case,
+    target: Path,
+    *,
+    force: bool = False,
+    recording: bool = True,
+    report: bool = True,
+    light: bool = False,
+    connect: str | None = None,
+    notify: Notify = silent,
+) -> dict[str, Any]:
+    """Plan one case and write its run folder.
+
+    Parameters
+    ----------
+    case : Case
+    target : Path
+        The run folder; refused if it exists, unless `force` is set.
+    recording, report : bool
+        Whether recording.rrd and report.html are made.
+    light : bool
+        Leave the CT out of the recording and thin its mesh, for recorded examples.
+    connect : str, optional
+        Address of a running rerun viewer that is fed while planning.
+    notify : Notify
+
+    Returns
+    -------
+    dict
+        The content of result.json.
+
+    Raises
+    ------
+    TubeplanError
+        If the input is bad or no path can be begun; then no folder is left.
+    """
+    watch = Stopwatch(notify)
+    with RunFolder(target, force=force) as folder:
+        lumen = load_lumen(case.input, near=case.planner.start, watch=watch)
+        with watch.stage("centerline"):
+            problem, tree = pose_case(case, lumen)
+        warnings = list(lumen.warnings)
+        stream = None
+        if recording:
+            stream = Recording.open(
+                folder.path("recording.rrd"),
+                case_id=case_name(case),
+                limits=case.limits,
+                planner=case.planner.name,
+                method=case.planner.method,
+                frame=problem.surface.frame,
+                connect=connect,
+                light=light,
+            )
+            warnings.extend(stream.warnings)
+        try:
+            if stream is not None:
+                with watch.stage("recording"):
+                    record_anatomy(stream, lumen, problem, light=light)
+            with watch.stage("plan") as progress:
+                steps = follow(tube_steps(problem, time_budget=case.planner.time_budget), stream, case, progress)
+            with watch.stage("verify and prove"):
+                plan = conclude(problem, steps)
+            # mesh.ply holds wall faces first and then the caps; result.json counts on that order.
+            written = write_ply(problem.surface, folder.path("mesh.ply"))
+            provenance = Provenance(inputs=lumen.inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
+            details = case_details(case, lumen, tree, written, warnings)
+
+            def document() -> dict[str, Any]:
+                return build_result(plan, frame=written.frame, timings_s=watch.seconds, provenance=provenance, details=details)
+
+            if stream is not None:
+                with watch.stage("recording"):
+                    stream.finish(document())
+                    stream.close()
+        except BaseException:
+            if stream is not None:
+                stream.abort()
+            raise
+        result = document()
+        folder.write_text("case.toml", case_text(case, target))
+        folder.write_text("path.csv", path_csv(plan.profile))
+        folder.write_json("path.mrk.json", slicer_markups(result))
+        if report:
+            with watch.stage("report"):
+                write_report(review_of(case, lumen, written, plan, result), folder.path("report.html"))
+        return folder.finish(result)
+
+
+def follow(
+    steps: Iterator[PlanStep], stream: Recording | None, case: Case, progress: Callable[[int, int], None]
+) -> list[PlanStep]:
+    """Run the iteration, feeding each step to the recording as it happens."""
+    done: list[PlanStep] = []
+    for step in steps:
+        done.append(step)
+        progress(step.index, case.refine.max_rounds)
+        if stream is not None:
+            stream.log_step(step)
+    return done
+
+
+def record_anatomy(stream: Recording, lumen: Lumen, problem: TubeProblem, *, light: bool) -> None:
+    """What stays the same over the iterations."""
+    if lumen.volume is not None and not light:
+        stream.log_volume(lumen.volume, lumen.region)
+    stream.log_surface(problem.surface)
+    stream.log_centerline(problem.centerline)
+    if lumen.region is not None and lumen.region.curve is not None:
+        stream.log_growth(lumen.region.curve)
+    for warning in lumen.warnings:
+        stream.log_decision(warning, level="WARN")
+
+
+def case_name(case: Case) -> str:
+    """The case's own id; never taken from the data, which may hold a name."""
+    return case.input.case_id or "case"
+
+
+def case_details(case: Case, lumen: Lumen, tree: Tree, surface: Surface, warnings: list[str]) -> dict[str, Any]:
+    """The planner-independent part of result.json's details."""
+    details = dict(lumen.details)
+    deviation = details.pop("deviation_mm", None)
+    return {
+        **details,
+        "case_id": case_name(case),
+        "surface": surface_details(surface) | {"deviation_mm": deviation},
+        "endpoints": [endpoint_details(tip) for tip in tree.endpoints],
+        "image": dict(lumen.facts),
+        "warnings": warnings,
+    }
+
+
+def surface_details(surface: Surface) -> dict[str, Any]:
+    """Faces and caps as they stand in mesh.ply: wall first, then each cap."""
+    first = len(surface.wall_faces)
+    caps = []
+    for index, cap in enumerate(surface.caps):
+        count = int(np.count_nonzero(surface.face_cap == index))
+        caps.append(
+            {
+                "label": cap.label,
+                "origin": cap.origin,
+                "center_mm": cap.center,
+                "normal": cap.normal,
+                "area_mm2": cap.area,
+                "first_face": first,
+                "faces": count,
+            }
+        )
+        first += count
+    return {"faces": len(surface.faces), "wall_faces": len(surface.wall_faces), "volume_ml": surface.volume_ml, "caps": caps}
+
+
+def review_of(case: Case, lumen: Lumen, surface: Surface, plan: Plan, result: Mapping[str, Any]) -> Review:
+    """The run as the report sees it."""
+    return Review(
+        case_id=case_name(case),
+        result=result,
+        surface=surface,
+        volume=lumen.volume,
+        region=lumen.region,
+        facts=lumen.facts,
+        first=profile_lists(plan.steps[0]),
+        last=profile_lists(plan.steps[-1]),
+    )
+
+
+def profile_lists(step: PlanStep) -> dict[str, Any]:
+    """A profile under the names of result.json."""
+    profile = step.profile
+    return {
+        "s_mm": profile.arc_length.tolist(),
+        "points_mm": profile.points.tolist(),
+        "curvature_per_mm": profile.curvature.tolist(),
+        "clearance_mm": profile.clearance.tolist(),
+    }
