@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import socket
 import subprocess
 import sys
-import tempfile
 import uuid
 from pathlib import Path
 from typing import Any
@@ -18,6 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from segmentation.errors import TubeplanError
+from tubeplan_viz.recording.viewer_program import quiet_home
 
 APPLICATION = "tubeplan"
 PROBE_TIMEOUT_S = 0.3
@@ -219,11 +218,7 @@ def _stream(recording_id: str) -> Any:
 
 def _viewer_tool(*arguments: str, data: bytes) -> bytes:
     """Run ``rerun rrd`` on bytes, with a home of its own: no usage statistics, nothing left in the user's home."""
-    with tempfile.TemporaryDirectory(prefix="tubeplan-") as home:
-        settings = Path(home) / ".config" / "rerun"
-        settings.mkdir(parents=True)
-        (settings / "analytics.json").write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}))
-        environment = dict(os.environ, HOME=home, XDG_CONFIG_HOME=str(settings.parent), NO_COLOR="1")
+    with quiet_home() as environment:
         command = [sys.executable, "-m", "rerun_cli", "rrd", *arguments]
         run = subprocess.run(command, input=data, capture_output=True, env=environment, check=False)
     if run.returncode:

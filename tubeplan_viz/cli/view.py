@@ -1,0 +1,93 @@
+"""tubeplan view: the recording of a run in the rerun viewer."""
+
+from __future__ import annotations
+
+import signal
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+from segmentation.errors import CaseError
+from tubeplan_viz.recording import WebViewer, has_display, show_native
+from tubeplan_viz.result import RunFolderError, is_run
+
+MARKERS = ("result.json", "compare.json")
+
+
+def view(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder, or one that `tubeplan compare` made.")],
+    web: Annotated[bool, typer.Option("--web", help="The web viewer even where there is a display.")] = False,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Serve and print the address, open no browser.")] = False,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of 127.0.0.1; 0 for any free one.")] = 0,
+) -> None:
+    """Open a run's recording in the rerun viewer.
+
+    With a display the native viewer opens; without one, or with --web or --no-browser, the
+    web viewer is served on 127.0.0.1 alone until Ctrl-C, at an address that cannot be
+    guessed, and its requests to other hosts are blocked. Ending the view by closing the
+    window or by Ctrl-C is no fault: exit status 0.
+
+    Example: tubeplan view run
+    """
+    recording = recording_of(run_folder)
+    with ended_by_signal():
+        try:
+            if has_display() and not (web or no_browser):
+                show_native(recording, port=port)
+            else:
+                serve(recording, port=port, browser=not no_browser)
+        except KeyboardInterrupt:
+            typer.echo("view ended", err=True)
+
+
+def recording_of(folder: Path) -> Path:
+    """The recording in a run folder.
+
+    Raises
+    ------
+    CaseError, RunFolderError
+        If the folder is not there, is no run, or was made without a recording.
+    """
+    if not folder.is_dir():
+        raise CaseError(f"{folder.name}: no such run folder; name the folder that `tubeplan run` or `tubeplan plan` made")
+    if not any(is_run(folder, marker) for marker in MARKERS):
+        raise RunFolderError(
+            f"{folder.resolve().name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made"
+        )
+    recording = folder / "recording.rrd"
+    if not recording.is_file():
+        raise RunFolderError(
+            f"{folder.resolve().name} holds no recording.rrd; it was made with --no-recording, "
+            "make it again without, for instance `tubeplan run` on its case.toml"
+        )
+    return recording
+
+
+def serve(recording: Path, *, port: int, browser: bool) -> None:
+    """Serve the web viewer until interrupted."""
+    with WebViewer(recording, port=port) as viewer:
+        typer.echo(viewer.url)
+        typer.echo("served to this machine alone; open the address in a browser, end with Ctrl-C", err=True)
+        # Without a display `webbrowser` may start a browser in the terminal, which cannot show this page.
+        if browser and has_display():
+            webbrowser.open(viewer.url)
+        viewer.wait()
+
+
+@contextmanager
+def ended_by_signal() -> Iterator[None]:
+    """A request to terminate ends the view like Ctrl-C, so that no viewer is left behind."""
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
