@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -146,14 +146,22 @@ def tube_steps(problem: TubeProblem, *, time_budget: float | None = None) -> Ite
     problem : TubeProblem
     time_budget : float, s, optional
         After it no further round is begun; the rounds up to then stand.
+
+    Notes
+    -----
+    Insertion for clearance can undo what relaxation had mended. When the feature iteration
+    ends worse than it once stood, a last step goes back to the round that broke the limits
+    least; the text would give out the last round.
     """
     begun = time.monotonic()
+    best: PlanStep | None = None
+    step: PlanStep | None = None
     for state in tube_rounds(problem):
         profile = measure_path(state.curve, problem.wall)
         flagged = flag_stretches(profile, problem.limits)
         late = time_budget is not None and time.monotonic() - begun > time_budget
         decisions = (*state.decisions, f"time budget of {time_budget:g} s used up") if late else state.decisions
-        yield PlanStep(
+        step = PlanStep(
             index=state.index,
             curve=state.curve,
             features=state.features,
@@ -163,8 +171,23 @@ def tube_steps(problem: TubeProblem, *, time_budget: float | None = None) -> Ite
             added=state.added,
             decisions=decisions,
         )
+        yield step
+        if best is None or excess(step, problem.limits) <= excess(best, problem.limits):
+            best = step
         if late:
-            return
+            break
+    if step is None or best is None or best is step or problem.settings.method != "feature_iteration":
+        return
+    decision = f"back to round {best.index}, which breaks the limits least; the last one stands worse"
+    yield replace(best, index=step.index + 1, moved=0, added=0, decisions=(decision,))
+
+
+def excess(step: PlanStep, limits: Limits) -> float:
+    """By what shares a step breaks both limits, added; a path outside the lumen is worse than any other."""
+    curvature = max(float(step.profile.curvature.max()) / limits.curvature_max - 1.0, 0.0)
+    least = float(step.profile.clearance.min())
+    clearance = max(1.0 - least / limits.clearance_min, 0.0) if limits.clearance_min > 0 else 0.0
+    return curvature + clearance + (1e6 if least <= 0 else 0.0)
 
 
 def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
