@@ -76,7 +76,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PathProfile:
-    """A path sampled evenly in arc length, ends included.
+    """A path sampled along its arc length, ends included; evenly unless said otherwise.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ from segmentation.mesh import Surface
 from tubeplan_viz.centerline import Centerline, CenterlineSettings, VoronoiGraph, trace_centerline, voronoi_graph
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind, Limits, NoPathError, Plan, PlanStatus, PlanStep
-from tubeplan_viz.profile import FLAG_SPACING, certify, flag_stretches, measure_path, path_metrics
+from tubeplan_viz.profile import certify, flag_stretches, measure_closely, measure_path, path_metrics
 from tubeplan_viz.tube.features import FeatureSettings
 from tubeplan_viz.tube.optimal import OptimalSettings, Proposal, optimise, passage_of
 from tubeplan_viz.tube.refine import RefineSettings, Round, first_features, refine
@@ -194,7 +194,7 @@ def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
     """Verify the last round over the full interval (spec 1.8), prove it between the samples, and say how it ended."""
     last = steps[-1]
     limits = problem.limits
-    fine = measure_path(last.curve, problem.wall, spacing=FLAG_SPACING)
+    fine = measure_closely(last.curve, problem.wall, limits)
     flagged = flag_stretches(fine, limits)
     certificate = certify(last.curve, problem.wall, limits)
     metrics = path_metrics(last.profile, problem.centerline)
