@@ -47,10 +47,10 @@ class Triangles:
 
     @cached_property
     def _samples(self) -> tuple[IntArray, cKDTree]:
-        """Face of each sample, and the samples' tree: centres, and a lattice on faces longer than the median."""
+        """Face of each sample, and the samples' tree: centres, and a lattice of three points or more on each face."""
         median = float(np.median(self._radii))
         faces, points = [np.arange(len(self))], [self._centers]
-        count = np.clip(np.ceil(self._radii / max(1.5 * median, 1e-9)), 1, np.sqrt(2.0 * SAMPLES_PER_FACE)).astype(int)
+        count = np.clip(np.ceil(self._radii / max(0.6 * median, 1e-9)), 1, np.sqrt(2.0 * SAMPLES_PER_FACE)).astype(int)
         for n in np.unique(count[count > 1]):
             i, j = (grid.ravel() for grid in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
             i, j = (axis[i + j < n] for axis in (i, j))

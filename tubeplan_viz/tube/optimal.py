@@ -26,8 +26,12 @@ OBJECTIVES = ("clearance", "length", "curvature")
 SECOND_AIM = {"clearance": "mean", "length": "length", "curvature": "curvature"}
 # Aimed at, as a share of the curvature limit, so that the bound between the samples meets it.
 CURVATURE_AIM = 0.9998
+# How far below its least sample, in mm and as a share of it, the clearance is proved.
 CLEARANCE_TOLERANCE = 0.002
+PROOF_SHARE = 0.003
 CURVATURE_SAMPLES = 4
+# Share of the largest least clearance that an answer of the second phase must be proved to keep.
+KEPT = 0.99
 # Share of the clearance that a control point may move in one round: under 1 / sqrt(3), so that no wall is passed.
 TRUST_MAX = 0.5
 REFUSALS = 4
@@ -178,6 +182,10 @@ class Grid:
         rows = wall_rows(basis.curve(control), basis.curve(control, 1), self.wall, None if known is None else known.rows.faces)
         return State(control, rows, curvature_upper_bound(self.curve(control), limit=limit, tolerance=0.002).bound)
 
+    def inside(self, control: FloatArray) -> bool:
+        """Whether all samples but the ends, which may lie on caps, are in the lumen."""
+        return bool(self.wall.inside(self.clearance_basis.curve(control)[1:-1]).all())
+
     def with_samples(self, u: FloatArray) -> Grid:
         """The same with more samples for the clearance."""
         return Grid(self.knots, np.union1d(self.clearance_u, u), self.wall)
@@ -212,12 +220,12 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
     assert first.clearance is not None
     if first.curvature > limits.curvature_max:
         return
-    floor = first.clearance.bound * settings.keep
+    floor, slack = first.clearance.bound * settings.keep, tolerance_of(state)
     if settings.objective == "clearance":
-        floor = max(floor, min(first.clearance.bound, limits.clearance_min + CLEARANCE_TOLERANCE))
+        floor = max(floor, min(first.clearance.bound, limits.clearance_min + slack))
     else:
-        floor = min(first.clearance.bound, limits.clearance_min + CLEARANCE_TOLERANCE)
-    aim = replace(aim, floor=np.minimum(floor + 0.5 * CLEARANCE_TOLERANCE, state.rows.clearance))
+        floor = min(first.clearance.bound, limits.clearance_min + slack)
+    aim = replace(aim, floor=np.minimum(floor + 0.5 * slack, state.rows.clearance))
     span = interior(grid, state, ends)
     if settings.objective == "clearance" and first.least > 0.99 * ceiling and span != (0.0, 1.0):
         yield replace(first, decisions=("an end of the path binds: the least clearance away from it is raised next",))
@@ -225,13 +233,16 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
             yield reached[2]
         grid, state, _ = reached
         inside = replace(aim, span=span).inside(grid.clearance_u)
-        kept = np.where(inside, settings.keep * state.rows.clearance[inside].min(), floor + 0.5 * CLEARANCE_TOLERANCE)
-        aim = replace(aim, floor=np.minimum(np.maximum(kept, floor + 0.5 * CLEARANCE_TOLERANCE), state.rows.clearance))
+        kept = np.where(inside, settings.keep * state.rows.clearance[inside].min(), floor + 0.5 * slack)
+        aim = replace(aim, floor=np.minimum(np.maximum(kept, floor + 0.5 * slack), state.rows.clearance))
     for reached in run_phase(passage, grid, state, replace(aim, goal=SECOND_AIM[settings.objective]), fixed, settings):
         yield reached[2]
     shown = reached[2]
     assert shown.clearance is not None
-    if shown.clearance.bound < floor - CLEARANCE_TOLERANCE or shown.curvature > limits.curvature_max:
+    needed = max(KEPT * first.clearance.bound, min(first.clearance.bound, limits.clearance_min))
+    if settings.objective != "clearance":
+        needed = min(first.clearance.bound, limits.clearance_min)
+    if shown.clearance.bound < needed or shown.curvature > limits.curvature_max:
         yield replace(first, decisions=("the second phase could not be proved: the path of the first stands",))
 
 
@@ -271,18 +282,33 @@ def run_phase(
             if state.least > CEILING_SHARE * ceiling and state.curvature <= limit:
                 break
         missed = missed_places(grid, state, aim)
-        sharp = limit < state.curvature < 1.02 * limit
+        sharp = state.curvature > limit
         if attempt == ATTEMPTS - 1 or not (len(missed) or sharp):
             break
-        if sharp:
+        if sharp and state.curvature < 1.02 * limit:
             aim = replace(aim, curvature=aim.curvature * limit / state.curvature * CURVATURE_AIM)
         finer = grid.with_samples(missed)
         floor = np.interp(finer.clearance_u, grid.clearance_u, np.broadcast_to(aim.floor, grid.clearance_u.shape))
         grid, aim = finer, replace(aim, floor=floor)
-        state = grid.measure(state.control, limit)
-    proved = clearance_lower_bound(grid.curve(state.control), passage.wall, tolerance=CLEARANCE_TOLERANCE)
+        control = state.control if not sharp or any(fixed) else evened(grid, state)
+        state = grid.measure(control, limit)
+    proved = clearance_lower_bound(grid.curve(state.control), passage.wall, tolerance=tolerance_of(state))
     note = f"clearance proved to be at least {proved.bound:.3f} mm, curvature at most {state.curvature:.4f} 1/mm"
     yield grid, state, replace(proposal(grid, state, aim.goal, (note,)), clearance=proved)
+
+
+def evened(grid: Grid, state: State) -> FloatArray:
+    """Control points of nearly the same path at even speed, where the programme's curvature is the true one."""
+    curve = grid.curve(state.control)
+    count = len(state.control)
+    u = np.linspace(0.0, 1.0, 4 * count)
+    target = curve(curve.parameter(u * curve.length))
+    return fit(Basis.at(grid.knots, u), target, state.control[[0, -1]], count, 1e-4)
+
+
+def tolerance_of(state: State) -> float:
+    """How exactly the least clearance of a state is to be known, mm."""
+    return min(CLEARANCE_TOLERANCE, max(PROOF_SHARE * state.least, 1e-4))
 
 
 def missed_places(grid: Grid, state: State, aim: Aim) -> FloatArray:
@@ -316,7 +342,7 @@ def rounds(
         if found is not None:
             after = grid.measure(found[0], limit, known=state)
             gain, promise = now - merit(grid, after, aim, limit, penalty), now - found[1]
-        if found is not None and gain > 0.0:
+        if found is not None and gain > 0.0 and grid.inside(found[0]):
             note = (
                 f"{aim.goal}: clearance least {after.least:.3f}, mean {after.mean:.3f} mm, curvature {after.curvature:.4f} 1/mm"
             )
@@ -333,7 +359,7 @@ def rounds(
             trust *= 0.3
         elif gain > 0.7 * promise:
             trust = min(2.0 * trust, TRUST_MAX)
-        if idle >= 2 or promise < enough or refused >= REFUSALS:
+        if idle >= 2 or max(promise, gain) < enough or refused >= REFUSALS:
             return
 
 

@@ -25,7 +25,7 @@ from tubeplan_viz.geometry import WallDistance
 # share of the clearance: far enough that the nearest face lies in that direction.
 DIRECTIONS = 12
 PROBE = 0.7
-NEAREST = 4
+NEAREST = 6
 # The path's speed may not fall under this share of its mean: a near-cusp hides between samples.
 SPEED_MIN = 0.4
 # Rows for the mean of the clearance next to its least value keep the answer unique.
