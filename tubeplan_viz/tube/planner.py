@@ -16,7 +16,7 @@ from segmentation.mesh import Surface
 from tubeplan_viz.centerline import Centerline, CenterlineSettings, VoronoiGraph, trace_centerline, voronoi_graph
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind, Limits, NoPathError, Plan, PlanStatus, PlanStep
-from tubeplan_viz.profile import certify, flag_stretches, measure_closely, measure_path, path_metrics
+from tubeplan_viz.profile import certify, flag_stretches, measure_closely, measure_path, path_metrics, with_peaks
 from tubeplan_viz.tube.features import FeatureSettings
 from tubeplan_viz.tube.optimal import OptimalSettings, Proposal, optimise, passage_of
 from tubeplan_viz.tube.refine import RefineSettings, Round, first_features, refine
@@ -195,12 +195,14 @@ def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
     last = steps[-1]
     limits = problem.limits
     fine = measure_closely(last.curve, problem.wall, limits)
-    flagged = flag_stretches(fine, limits)
+    flagged = with_peaks(flag_stretches(fine, limits), last.curve, problem.wall)
     certificate = certify(last.curve, problem.wall, limits)
     metrics = path_metrics(last.profile, problem.centerline)
     # Extremes are those of the fine samples: a reader must not find a worse one in a flag.
-    metrics["curvature_max_per_mm"] = float(max(fine.curvature.max(), last.profile.curvature.max()))
-    metrics["clearance_min_mm"] = float(min(fine.clearance.min(), last.profile.clearance.min()))
+    sharpest = (flag.worst for flag in flagged if flag.kind is FlagKind.CURVATURE)
+    tightest = (flag.worst for flag in flagged if flag.kind is FlagKind.CLEARANCE)
+    metrics["curvature_max_per_mm"] = float(max(fine.curvature.max(), last.profile.curvature.max(), *sharpest))
+    metrics["clearance_min_mm"] = float(min(fine.clearance.min(), last.profile.clearance.min(), *tightest))
     widest = int(np.argmax(problem.centerline.radii))
     narrowest = int(np.argmin(problem.centerline.radii))
     status, reason = verdict(problem, flagged, certificate.holds, widest)
