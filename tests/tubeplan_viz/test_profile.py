@@ -10,7 +10,7 @@ import pytest
 from segmentation.errors import CaseError
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import FlagKind, Limits, PathProfile
-from tubeplan_viz.profile import flag_stretches, measure_path, path_metrics
+from tubeplan_viz.profile import flag_stretches, measure_path, path_metrics, with_peaks
 
 LIMITS = Limits(curvature_max=0.1, clearance_min=2.0)
 
@@ -92,3 +92,19 @@ def test_metrics_are_extremes_and_means_of_the_profile(bent_tube: Any) -> None:
 def test_limits_that_no_instrument_has_are_refused(curvature: float, clearance: float, message: str) -> None:
     with pytest.raises(CaseError, match=message):
         Limits(curvature_max=curvature, clearance_min=clearance)
+
+
+def test_the_worst_value_of_a_flag_is_the_curves_and_not_a_samples(bent_tube: Any) -> None:
+    wall = WallDistance(bent_tube.surface)
+    limits = Limits(curvature_max=0.0665, clearance_min=2.75)
+    coarse = flag_stretches(measure_path(bent_tube.curve, wall, spacing=0.05), limits)
+    peaks = with_peaks(coarse, bent_tube.curve, wall)
+    assert {flag.kind for flag in peaks} == set(FlagKind)
+    for before, flag in zip(coarse, peaks, strict=True):
+        u = bent_tube.curve.parameter(np.linspace(flag.start, flag.end, 20_001))
+        if flag.kind is FlagKind.CURVATURE:
+            assert flag.worst >= before.worst
+            assert flag.worst == pytest.approx(bent_tube.curve.curvature(u).max(), rel=1e-5)
+        else:
+            assert flag.worst <= before.worst
+            assert flag.worst == pytest.approx(wall.clearance(bent_tube.curve(u)).min(), abs=1e-5)
