@@ -117,11 +117,13 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
     # An offset that is no round share of a voxel keeps grid points off the surface, where facets would degenerate.
     lower = cloud.min(axis=0) - widest - 3.0 * voxel - voxel * np.array([0.131, 0.237, 0.353])
     count = np.ceil((cloud.max(axis=0) + widest + 3.0 * voxel - lower) / voxel).astype(int) + 1
-    grid = lower + voxel * np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), axis=-1).reshape(-1, 3)
-    level = np.full(len(grid), np.inf)
+    level = np.full(count, 3.0 * voxel, dtype=np.float32)
     ends = []
     for axis, radius, flat in axes:
-        distance, arc = axis.nearest(grid, widest + 3.0 * voxel)
+        width = float(radius(np.linspace(0.0, axis.length, 400)).max())
+        index = _grid_near(axis, width + 3.0 * voxel, lower, voxel, count)
+        grid = lower + voxel * np.column_stack(np.unravel_index(index, count))
+        distance, arc = axis.nearest(grid, width + 3.0 * voxel)
         tube = distance - radius(np.clip(arc, 0.0, axis.length))
         points, frames = axis.at(np.array([0.0, axis.length]))
         for end, sign, beyond in [(0, -1.0, -arc), (1, 1.0, arc - axis.length)]:
@@ -133,9 +135,8 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
             else:
                 past = (beyond > 0.0) & np.isfinite(distance)
                 tube[past] = np.linalg.norm(grid[past] - point, axis=1) - float(radius(np.array([0.0, axis.length]))[end])
-        level = np.minimum(level, tube)
-    level = np.where(np.isfinite(level), level, 3.0 * voxel).reshape(count)
-    vertices, faces, _, _ = marching_cubes(level.astype(np.float64), 0.0, gradient_direction="ascent")
+        level.ravel()[index] = np.minimum(level.ravel()[index], tube)
+    vertices, faces, _, _ = marching_cubes(level, 0.0, gradient_direction="ascent")
     vertices = lower + voxel * vertices.astype(np.float64)
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -156,3 +157,17 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
         vertices[disc] -= ((vertices[disc] - point) @ normal)[:, None] * normal
         caps.append(Cap(f"C{number + 1}", "flat end", point, normal, 0.5 * float(areas[cap].sum())))
     return Surface(vertices, faces.astype(np.int64), labels, tuple(caps), "mesh")
+
+
+def _grid_near(axis: Axis, within: float, lower: FloatArray, voxel: float, count: IntArray) -> IntArray:
+    """Flat indices of the grid's points in boxes along the axis that hold all points within `within` mm of it."""
+    lead, piece = 3.0, 5.0
+    s = np.linspace(-lead, axis.length + lead, max(int(np.ceil((axis.length + 2.0 * lead) / piece)), 1) + 1)
+    chosen = np.zeros(count, dtype=bool)
+    for a, b in pairwise(s):
+        # A box around sites 1/8 piece apart misses less than a piece's eighth of the curve.
+        sites = axis.at(np.linspace(a, b, 9))[0]
+        low = np.floor((sites.min(axis=0) - within - piece / 8.0 - lower) / voxel).astype(int).clip(0, count)
+        high = np.ceil((sites.max(axis=0) + within + piece / 8.0 - lower) / voxel).astype(int).clip(0, count - 1) + 1
+        chosen[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = True
+    return np.flatnonzero(chosen)

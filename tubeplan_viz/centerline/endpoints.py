@@ -78,11 +78,9 @@ def find_endpoints(
         first = wide_end(graph, graph.matrix(graph.lengths), first, members)
     cost, previous = dijkstra(matrix, directed=False, indices=first, return_predecessors=True)
     length = path_lengths(graph, previous)
-    tree = cKDTree(graph.nodes)
     covered = ~members | ~np.isfinite(cost)
     covered[first] = True
     tips: list[tuple[int, float, float]] = []
-    beyond = np.zeros(len(graph.nodes))
     while True:
         beyond = lengths_beyond(previous, length, covered)
         tip = int(np.argmax(beyond))
@@ -96,8 +94,7 @@ def find_endpoints(
             break
         tips.append((tip, float(beyond[tip]), width))
         spread = thinned(graph, branch)
-        for ball in tree.query_ball_point(graph.nodes[spread], 1.5 * graph.radii[spread] + settings.step, return_sorted=False):
-            covered[ball] = True
+        cover(graph, covered, graph.nodes[spread], 1.5 * graph.radii[spread] + settings.step)
     found = [(root_end(graph, previous, tips, first), max((b for _, b, _ in tips), default=0.0), 0.0)]
     found += [(retreat(graph, wall, previous, tip, b), b, w) for tip, b, w in sorted(tips, key=lambda t: -t[1])]
     return tuple(label_tips(graph, wall, found))
@@ -146,13 +143,33 @@ def path_lengths(graph: VoronoiGraph, previous: IntArray) -> FloatArray:
 
 def lengths_beyond(previous: IntArray, length: FloatArray, covered: BoolArray) -> FloatArray:
     """For every node the length of its tree path outside the covered part, mm."""
-    own = np.arange(len(covered))
-    foot = np.where(covered | (previous < 0), own, previous)
+    beyond = np.zeros(len(covered))
+    nodes = np.flatnonzero(~covered & (previous >= 0))
+    place = np.full(len(covered), -1)
+    place[nodes] = np.arange(len(nodes))
+    # `foot` is a place among the uncovered nodes until it has left them; doubling as in `path_lengths`.
+    parent = previous[nodes]
+    above = place[parent]
+    top = np.where(above < 0, np.arange(len(nodes)), above)
     while True:
-        further = foot[foot]
-        if np.array_equal(further, foot):
-            return np.where(covered, 0.0, length - length[foot])
-        foot = further
+        further = top[top]
+        if np.array_equal(further, top):
+            beyond[nodes] = length[nodes] - length[parent[top]]
+            return beyond
+        top = further
+
+
+def cover(graph: VoronoiGraph, covered: BoolArray, centers: FloatArray, radii: FloatArray) -> None:
+    """Mark the nodes that lie in any of the balls; `covered` is changed."""
+    widest = float(radii.max())
+    free = np.flatnonzero(~covered)
+    low, high = centers.min(axis=0) - widest, centers.max(axis=0) + widest
+    free = free[np.all((graph.nodes[free] >= low) & (graph.nodes[free] <= high), axis=1)]
+    # |x - c|^2 <= r^2 for some ball, as one nearest neighbour: each centre gets a fourth
+    # coordinate whose square is what its radius falls short of the widest.
+    lifted = cKDTree(np.column_stack([centers, np.sqrt(widest**2 - radii**2)]))
+    sites = np.column_stack([graph.nodes[free], np.zeros(len(free))])
+    covered[free[np.isfinite(lifted.query(sites, distance_upper_bound=widest * (1.0 + 1e-12))[0])]] = True
 
 
 def thinned(graph: VoronoiGraph, branch: list[int]) -> list[int]:

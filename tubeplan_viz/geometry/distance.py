@@ -80,11 +80,8 @@ class WallDistance:
         inside = np.atleast_1d(self._winding.winding_number(query)) > 0.5
         if self.surface.caps and not inside.all():
             outside = np.flatnonzero(~inside)
-            inside[outside] = self._distance_to_closed(query[outside]) <= ON_SURFACE
+            inside[outside] = np.minimum(self.distance(query[outside]), self.cap_distance(query[outside])) <= ON_SURFACE
         return np.asarray(inside, dtype=bool)
-
-    def _distance_to_closed(self, query: FloatArray) -> FloatArray:
-        return np.sqrt(np.atleast_1d(igl.point_mesh_squared_distance(query, self._vertices, self._faces)[0]))
 
     def clearance(self, points: ArrayLike) -> FloatArray:
         """Signed distance to the wall, mm, (k,): negative outside the lumen."""

@@ -11,7 +11,8 @@ from scipy.integrate import quad
 
 from segmentation.errors import GeometryError
 from tubeplan_viz.centerline import voronoi_graph
-from tubeplan_viz.centerline.voronoi import circumspheres, mean_reciprocal, wall_samples
+from tubeplan_viz.centerline.sampling import wall_samples
+from tubeplan_viz.centerline.voronoi import circumspheres, mean_reciprocal
 
 
 @pytest.mark.parametrize("name", ["swept", "structured", "marching cubes", "junction"])
