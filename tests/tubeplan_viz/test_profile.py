@@ -104,7 +104,7 @@ def test_the_worst_value_of_a_flag_is_the_curves_and_not_a_samples(bent_tube: An
         u = bent_tube.curve.parameter(np.linspace(flag.start, flag.end, 20_001))
         if flag.kind is FlagKind.CURVATURE:
             assert flag.worst >= before.worst
-            assert flag.worst == pytest.approx(bent_tube.curve.curvature(u).max(), rel=1e-5)
+            assert flag.worst == pytest.approx(bent_tube.curve.curvature(u).max(), rel=1e-4)
         else:
             assert flag.worst <= before.worst
             assert flag.worst == pytest.approx(wall.clearance(bent_tube.curve(u)).min(), abs=1e-5)
