@@ -3,9 +3,10 @@
 from collections.abc import Callable
 
 from tubeplan_viz.bench.centerline import centerline
+from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
 from tubeplan_viz.bench.rows import Row
 
-BENCHMARKS: dict[str, Callable[..., list[Row]]] = {"paper": paper, "centerline": centerline}
+BENCHMARKS: dict[str, Callable[..., list[Row]]] = {"paper": paper, "centerline": centerline, "optimal": optimal}
 
 __all__ = ["BENCHMARKS", "Row"]

@@ -17,6 +17,7 @@ from tubeplan_viz.centerline import Centerline, CenterlineSettings, VoronoiGraph
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind, Limits, NoPathError, Plan, PlanStatus, PlanStep
 from tubeplan_viz.profile import certify, flag_stretches, measure_closely, measure_path, path_metrics, with_peaks
+from tubeplan_viz.tube.explain import explain
 from tubeplan_viz.tube.features import FeatureSettings
 from tubeplan_viz.tube.optimal import OptimalSettings, Proposal, optimise, passage_of
 from tubeplan_viz.tube.refine import RefineSettings, Round, first_features, refine
@@ -213,6 +214,11 @@ def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
         "start_mm": problem.start,
         "goal_mm": problem.goal,
     }
+    if problem.settings.method == "optimal" and status is not PlanStatus.OK:
+        why = explain(problem.wall, problem.centerline, limits, problem.settings.optimal)
+        details |= why.details
+        status = PlanStatus.INFEASIBLE if why.impossible else status
+        reason = why.sentence if why.impossible else f"{reason}; {why.sentence}"
     return Plan(
         planner="tube",
         method=problem.settings.method,

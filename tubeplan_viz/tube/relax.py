@@ -1,0 +1,125 @@
+"""What little would have to give: the least change of the limits that lets a path through."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from tubeplan_viz.plan import Limits
+from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, OptimalSettings, Passage, Proposal, optimise
+
+# A proved clearance less this share, so that planning again at the value proves it with room.
+SAFE = 0.998
+# The bracket of the bend radius is closed to this ratio, well within the 2 % that must make the difference.
+RATIO = 1.008
+WIDEN = 1.3
+# An instrument more flexible than this many times is another instrument.
+FLEXIBLE = 6.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trade:
+    """One point of the Pareto line: at this curvature limit this clearance is proved, mm and 1/mm."""
+
+    clearance: float
+    curvature: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxation:
+    """The smallest changes that make a path feasible.
+
+    Attributes
+    ----------
+    clearance : float or None, mm
+        Largest instrument radius at the given bend radius; None when no path keeps the curvature limit.
+    curvature : float or None, 1/mm
+        Least curvature limit at the given instrument radius; None when none up to `FLEXIBLE`
+        times the given one was found to do.
+    pareto : tuple of Trade
+        From the stiffest and thinnest to the thickest and most flexible.
+    """
+
+    clearance: float | None
+    curvature: float | None
+    pareto: tuple[Trade, ...]
+
+    def details(self) -> dict[str, object]:
+        """For result.json."""
+        return {
+            "clearance_mm": self.clearance,
+            "curvature_per_mm": self.curvature,
+            "bend_radius_mm": None if self.curvature is None else 1.0 / self.curvature,
+            "pareto": [{"clearance_mm": trade.clearance, "curvature_per_mm": trade.curvature} for trade in self.pareto],
+        }
+
+
+def largest_clearance(passage: Passage, settings: OptimalSettings, curvature: float) -> float | None:
+    """Largest least clearance that is proved under a curvature limit, mm; None when the limit itself is not kept.
+
+    It is what planning again with that limit proves: the same rounds from the same line.
+    """
+    limits = Limits(curvature_max=curvature, clearance_min=passage.limits.clearance_min)
+    proved: Proposal | None = None
+    for proposal in optimise(replace(passage, limits=limits), settings):
+        if proposal.clearance is not None:
+            proved = proposal
+            break
+    if proved is None or proved.clearance is None or proved.curvature > curvature or proved.clearance.bound <= 0.0:
+        return None
+    return proved.clearance.bound
+
+
+def smallest_relaxation(passage: Passage, settings: OptimalSettings, *, ceiling: float) -> Relaxation:
+    """Least change of the instrument's radius alone, of its bend radius alone, and the line between.
+
+    Parameters
+    ----------
+    passage : Passage
+        With the limits that no path was found for.
+    settings : OptimalSettings
+    ceiling : float, mm
+        No path keeps a larger clearance, however it bends: with a larger limit, no
+        bend radius is looked for.
+    """
+    given, wanted = passage.limits.curvature_max, passage.limits.clearance_min + CLEARANCE_TOLERANCE
+    found: dict[float, float] = {}
+
+    def reaches(curvature: float) -> bool:
+        clearance = largest_clearance(passage, settings, curvature)
+        if clearance is not None:
+            found[curvature] = clearance
+        return clearance is not None and clearance >= wanted
+
+    high: float | None = given
+    if not reaches(given):
+        high = bracket(reaches, given) if ceiling >= wanted else None
+    alone = found.get(given)
+    return Relaxation(clearance=None if alone is None else SAFE * alone, curvature=high, pareto=trades(found, high))
+
+
+def bracket(reaches: Callable[[float], bool], low: float) -> float | None:
+    """Least curvature limit above `low` that reaches, to within `RATIO`; None when none was found."""
+    first, high = low, low
+    while True:
+        low, high = high, high * WIDEN
+        if high > FLEXIBLE * first:
+            return None
+        if reaches(high):
+            break
+    while high > RATIO * low:
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if reaches(middle) else (middle, high)
+    return high
+
+
+def trades(found: dict[float, float], last: float | None) -> tuple[Trade, ...]:
+    """The programmes solved on the way, without those that another beats in both."""
+    line: list[Trade] = []
+    for curvature in sorted(found):
+        clearance = SAFE * found[curvature]
+        if (last is None or curvature <= last) and (not line or clearance > line[-1].clearance):
+            line.append(Trade(clearance=clearance, curvature=curvature))
+    assert all(a.clearance < b.clearance for a, b in pairwise(line))
+    return tuple(line)
