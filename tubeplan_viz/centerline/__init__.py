@@ -3,14 +3,13 @@
 from tubeplan_viz.centerline.endpoints import Endpoint, find_endpoints
 from tubeplan_viz.centerline.line import Centerline
 from tubeplan_viz.centerline.trace import CenterlineSettings, even_points, trace_centerline
-from tubeplan_viz.centerline.voronoi import VoronoiGraph, circumspheres, voronoi_graph
+from tubeplan_viz.centerline.voronoi import VoronoiGraph, voronoi_graph
 
 __all__ = [
     "Centerline",
     "CenterlineSettings",
     "Endpoint",
     "VoronoiGraph",
-    "circumspheres",
     "even_points",
     "find_endpoints",
     "trace_centerline",

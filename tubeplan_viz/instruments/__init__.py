@@ -1,0 +1,23 @@
+"""Flexible instruments: their catalogue, their rigid tips, and which of them reaches which target."""
+
+from tubeplan_viz.instruments.catalogue import CatalogueError, Instrument, make_catalogue, read_catalogue
+from tubeplan_viz.instruments.matrix import Matrix, find_targets, instrument_matrix
+from tubeplan_viz.instruments.reach import Cell, ReachSettings, Target, Verdict, Witness
+from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
+
+__all__ = [
+    "CatalogueError",
+    "Cell",
+    "Instrument",
+    "Matrix",
+    "ReachSettings",
+    "Target",
+    "TipClearance",
+    "Verdict",
+    "Witness",
+    "find_targets",
+    "instrument_matrix",
+    "make_catalogue",
+    "read_catalogue",
+    "tip_clearance",
+]

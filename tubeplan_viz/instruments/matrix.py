@@ -1,0 +1,156 @@
+"""Instruments against targets: one wall, one start, one search per target, on several processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+import numpy as np
+
+from segmentation.arrays import FloatArray
+from segmentation.errors import CaseError
+from segmentation.mesh import Surface
+from tubeplan_viz.centerline import Endpoint, VoronoiGraph, trace_centerline
+from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.instruments.catalogue import Instrument
+from tubeplan_viz.instruments.ceiling import ClearanceCeiling
+from tubeplan_viz.instruments.reach import Cell, Reach, ReachSettings, Target, Verdict, Witness
+
+# Fewer targets are done in this process sooner than another one starts.
+FEW_TARGETS = 4
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Matrix:
+    """Every instrument against every target.
+
+    Attributes
+    ----------
+    instruments : tuple of Instrument
+    targets : tuple of Target
+    cells : tuple of tuple of Cell
+        ``cells[i][j]`` is instrument i and target j.
+    paths : tuple of tuple of Witness
+        Of each target, the paths that cells refer to.
+    """
+
+    instruments: tuple[Instrument, ...]
+    targets: tuple[Target, ...]
+    cells: tuple[tuple[Cell, ...], ...]
+    paths: tuple[tuple[Witness, ...], ...]
+
+    def count(self, verdict: Verdict) -> int:
+        """Number of cells with a verdict."""
+        return sum(cell.verdict is verdict for row in self.cells for cell in row)
+
+
+def find_targets(
+    wall: WallDistance, graph: VoronoiGraph, start: FloatArray, goals: Sequence[Endpoint], settings: ReachSettings
+) -> tuple[Target, ...]:
+    """Centerline and clearance ceiling of every goal; one graph and one widest-way tree serve all."""
+    ceiling = ClearanceCeiling(wall, start)
+    return tuple(
+        Target(
+            label=goal.label,
+            point=goal.point,
+            centerline=trace_centerline(graph, wall, start, goal.point, settings.tube.centerline),
+            ceiling=ceiling.to(goal.point),
+        )
+        for goal in goals
+    )
+
+
+def instrument_matrix(
+    wall: WallDistance,
+    start: FloatArray,
+    targets: Sequence[Target],
+    instruments: Sequence[Instrument],
+    settings: ReachSettings,
+    *,
+    jobs: int = 2,
+    progress: Callable[[int, int], None] | None = None,
+) -> Matrix:
+    """Judge every instrument for every target.
+
+    Parameters
+    ----------
+    wall : WallDistance
+    start : (3,) float array, mm
+    targets : sequence of Target
+        From `find_targets`.
+    instruments : sequence of Instrument
+    settings : ReachSettings
+    jobs : int
+        Processes; their number changes nothing but the time.
+    progress : callable, optional
+        Called with the number of targets done and of all.
+
+    Raises
+    ------
+    CaseError
+        If there is no instrument or no target.
+    """
+    if not instruments or not targets:
+        raise CaseError(
+            f"the matrix has {len(instruments)} instruments and {len(targets)} targets; expected at least one of each"
+        )
+    done: dict[int, tuple[tuple[Cell, ...], tuple[Witness, ...]]] = {}
+    if jobs < 2 or len(targets) <= FEW_TARGETS:
+        for k, target in enumerate(targets):
+            done[k] = column(wall, start, target, instruments, settings)
+            if progress is not None:
+                progress(len(done), len(targets))
+    else:
+        # Not forked: the caller's threads (progress bars, linear algebra) would not survive it.
+        with ProcessPoolExecutor(
+            max_workers=min(jobs, len(targets)),
+            mp_context=get_context("spawn"),
+            initializer=prepare_worker,
+            initargs=(wall.surface, wall.closed_ends, np.asarray(start), tuple(instruments), settings),
+        ) as pool:
+            # Long ways first, so that no process is left with one at the end.
+            order = sorted(range(len(targets)), key=lambda k: -way_length(targets[k]))
+            waiting = {pool.submit(column_in_worker, targets[k]): k for k in order}
+            for future in as_completed(waiting):
+                done[waiting[future]] = future.result()
+                if progress is not None:
+                    progress(len(done), len(targets))
+    columns = [done[k][0] for k in range(len(targets))]
+    return Matrix(
+        instruments=tuple(instruments),
+        targets=tuple(targets),
+        cells=tuple(tuple(cells[i] for cells in columns) for i in range(len(instruments))),
+        paths=tuple(done[k][1] for k in range(len(targets))),
+    )
+
+
+def way_length(target: Target) -> float:
+    """Length of a target's centerline, mm; 0 without one."""
+    return 0.0 if target.centerline is None else float(target.centerline.arc_length[-1])
+
+
+def column(
+    wall: WallDistance, start: FloatArray, target: Target, instruments: Sequence[Instrument], settings: ReachSettings
+) -> tuple[tuple[Cell, ...], tuple[Witness, ...]]:
+    """All instruments for one target, and the paths found."""
+    reach = Reach(wall, start, target, instruments, settings)
+    return reach.cells(), tuple(reach.witnesses)
+
+
+# What one worker process works on; set once when it starts.
+_bench: list[tuple[WallDistance, FloatArray, tuple[Instrument, ...], ReachSettings]] = []
+
+
+def prepare_worker(
+    surface: Surface, closed_ends: bool, start: FloatArray, instruments: tuple[Instrument, ...], settings: ReachSettings
+) -> None:
+    """Build the wall's search trees in a worker; they cannot be sent."""
+    _bench[:] = [(WallDistance(surface, closed_ends=closed_ends), start, instruments, settings)]
+
+
+def column_in_worker(target: Target) -> tuple[tuple[Cell, ...], tuple[Witness, ...]]:
+    """`column` on what the worker holds."""
+    wall, start, instruments, settings = _bench[0]
+    return column(wall, start, target, instruments, settings)

@@ -1,0 +1,406 @@
+"""Which instruments reach one target: few paths searched, every cell judged on all of them."""
+
+# Strategy: a path is a witness for every instrument whose limits it keeps, so one search per bend radius serves all
+# diameters. Bend radii are searched by halving: where the clearance comes near to what no path surpasses, softer
+# instruments need no search; where a softer one found nothing, stiffer ones are not searched. Then each cell takes
+# the path that serves it best. An instrument that can take every shape another can inherits its yes.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from segmentation.arrays import FloatArray, frozen_array
+from segmentation.errors import CaseError
+from tubeplan_viz.centerline import Centerline
+from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.instruments.catalogue import Instrument
+from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
+from tubeplan_viz.plan import Limits, NoPathError
+from tubeplan_viz.profile import FLAG_SPACING, measure_path
+from tubeplan_viz.tube import METHODS, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
+from tubeplan_viz.tube.bottleneck import Bottleneck
+
+# Nearer to the ceiling than this share, a softer instrument gains nothing.
+NEAR_CEILING = 0.99
+
+
+class Verdict(StrEnum):
+    """What is known of one instrument and one target."""
+
+    FEASIBLE = "feasible"
+    FLAGGED = "flagged"
+    IMPOSSIBLE = "impossible"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReachSettings:
+    """How paths are searched.
+
+    Attributes
+    ----------
+    method : {"optimal", "feature_iteration"}
+    before_start_mm : float
+        Length of instrument that is used up before the start of the path.
+    tube : TubeSettings
+        Of the path search; its method is not looked at.
+    """
+
+    method: str = "optimal"
+    before_start_mm: float = 0.0
+    tube: TubeSettings = field(default_factory=TubeSettings)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise CaseError(f"the matrix has no method {self.method!r}; expected {' or '.join(METHODS)}")
+        if not 0.0 <= self.before_start_mm <= 10_000.0:
+            raise CaseError(f"before_start_mm is {self.before_start_mm:g}, expected 0 to 10000 (used up on the way in)")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Target:
+    """One end point and what is known before any path is searched.
+
+    Attributes
+    ----------
+    label : str
+    point : (3,) float array, mm
+    centerline : Centerline or None
+        From the start; None when no chain of inscribed spheres joins the two.
+    ceiling : Bottleneck
+        Proved: no path keeps more clearance.
+    """
+
+    label: str
+    point: FloatArray
+    centerline: Centerline | None
+    ceiling: Bottleneck
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", frozen_array(self.point, (3,), "target"))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Witness:
+    """One path with what holds along all of it.
+
+    Attributes
+    ----------
+    curve : SplineCurve
+    length : float, mm
+    clearance, clearance_at : float, mm
+        Least sampled clearance, and the arc length where it was met.
+    clearance_bound : float, mm
+        Proved least clearance.
+    curvature, curvature_at : float, 1/mm and mm
+    curvature_bound : float, 1/mm
+        Proved largest curvature.
+    """
+
+    curve: SplineCurve
+    length: float
+    clearance: float
+    clearance_at: float
+    clearance_bound: float
+    curvature: float
+    curvature_at: float
+    curvature_bound: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cell:
+    """One instrument and one target.
+
+    Attributes
+    ----------
+    instrument, target : str
+    verdict : Verdict
+    reason : str
+        One sentence: what holds, what is broken and where, or what proves that no path can be.
+    margin : float or None, mm
+        Least clearance of shaft and rigid tip less the instrument's radius, on the best path found; of an impossible cell
+        the proved most that any path can have.
+    margin_at, margin_point : float or None, mm
+        Where along the path (for the tip: of its front), and the point.
+    margin_of : {"shaft", "tip", "ceiling"} or None
+    bend_radius : float or None, mm
+        Sharpest bend of the path.
+    bend_at : float or None, mm
+    length : float or None, mm
+        Of the path, without what is used up before its start.
+    tip : TipClearance or None
+    inferred_from : str or None
+        The harder instrument whose path this one can follow shape for shape.
+    path : int or None
+        Index into the target's witnesses.
+    """
+
+    instrument: str
+    target: str
+    verdict: Verdict
+    reason: str
+    margin: float | None = None
+    margin_at: float | None = None
+    margin_point: tuple[float, float, float] | None = None
+    margin_of: str | None = None
+    bend_radius: float | None = None
+    bend_at: float | None = None
+    length: float | None = None
+    tip: TipClearance | None = None
+    inferred_from: str | None = None
+    path: int | None = None
+
+
+class Reach:
+    """Search and judgement for one target; `cells` gives one cell per instrument in their order.
+
+    Parameters
+    ----------
+    wall : WallDistance
+    start : (3,) float array, mm
+    target : Target
+    instruments : sequence of Instrument
+    settings : ReachSettings
+    """
+
+    def __init__(
+        self, wall: WallDistance, start: FloatArray, target: Target, instruments: Sequence[Instrument], settings: ReachSettings
+    ) -> None:
+        self.witnesses: list[Witness] = []
+        self._wall, self._start, self._target, self._settings = wall, np.asarray(start, dtype=float), target, settings
+        self._instruments = tuple(instruments)
+        self._tips: dict[tuple[int, float], TipClearance] = {}
+        if target.centerline is not None:
+            possible = [one for one in self._instruments if self.proof_against(one) is None]
+            self.search(possible)
+
+    def proof_against(self, instrument: Instrument) -> str | None:
+        """Why no path can be for this instrument, or None when nothing proves it."""
+        ceiling, label = self._target.ceiling, self._target.label
+        if instrument.radius > ceiling.bound:
+            where = {"start": "at the start itself", "goal": f"at {label} itself", None: "on every way there"}[ceiling.end]
+            x, y, z = ceiling.place
+            return (
+                f"proved: {where} the lumen leaves {ceiling.bound:.2f} mm at most, at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
+                f"{instrument.radius:.2f} mm are required"
+            )
+        straight = float(np.linalg.norm(self._target.point - self._start)) + self._settings.before_start_mm
+        if instrument.working_length_mm < straight:
+            return (
+                f"proved: {label} is {straight:.0f} mm away even in a straight line; "
+                f"the working length is {instrument.working_length_mm:.0f} mm"
+            )
+        return None
+
+    def search(self, possible: Sequence[Instrument]) -> None:
+        """Find paths for the bend radii of these instruments, stiffest instruments' limits included."""
+        levels = sorted({one.limits.curvature_max for one in possible})
+        if self._settings.method == "optimal":
+            self.halve(levels, possible)
+            return
+        ordered = sorted(possible, key=lambda one: (one.limits.curvature_max, -one.radius))
+        for one in ordered:
+            if not any(self.keeps(witness, one) for witness in self.witnesses):
+                self.add(self.feature_path(one.limits), one.limits)
+
+    def halve(self, levels: Sequence[float], possible: Sequence[Instrument]) -> None:
+        """Largest clearances at some of the curvature limits `levels`, which rise."""
+        if not levels:
+            return
+        middle = len(levels) // 2
+        stiffer, softer = levels[:middle], levels[middle + 1 :]
+        thinnest = min(one.radius for one in possible if one.limits.curvature_max <= levels[middle])
+        limits = Limits(curvature_max=levels[middle], clearance_min=thinnest)
+        witness = self.add(self.widest_path(limits), limits)
+        found = witness is not None and witness.curvature_bound <= limits.curvature_max
+        if found and witness is not None and witness.clearance_bound >= thinnest:
+            self.halve(stiffer, possible)
+        if not (found and witness is not None and witness.clearance_bound >= NEAR_CEILING * self._target.ceiling.bound):
+            self.halve(softer, possible)
+
+    def widest_path(self, limits: Limits) -> SplineCurve | None:
+        """The path of largest least clearance under a curvature limit; None when no spline follows the line."""
+        assert self._target.centerline is not None
+        passage = Passage(wall=self._wall, line=self._target.centerline.points, limits=limits)
+        curve = None
+        try:
+            for proposal in optimise(passage, self._settings.tube.optimal):
+                curve = proposal.curve
+                # The first proof ends the phase that raises the least clearance; what follows serves its mean.
+                if proposal.clearance is not None:
+                    break
+        except NoPathError:
+            return None
+        return curve
+
+    def feature_path(self, limits: Limits) -> SplineCurve | None:
+        """The end of the feature iteration under these limits."""
+        assert self._target.centerline is not None
+        problem = TubeProblem(
+            surface=self._wall.surface,
+            wall=self._wall,
+            centerline=self._target.centerline,
+            start=self._start,
+            goal=self._target.point,
+            limits=limits,
+            settings=self._settings.tube,
+        )
+        *_, last = tube_rounds(problem)
+        return last.curve
+
+    def add(self, curve: SplineCurve | None, limits: Limits) -> Witness | None:
+        """Measure a path and keep it."""
+        if curve is None:
+            return None
+        self.witnesses.append(witness_of(curve, self._wall, limits))
+        return self.witnesses[-1]
+
+    def tip(self, index: int, length: float) -> TipClearance | None:
+        """Least clearance of a rigid tip along one witness; None for an instrument without one."""
+        if length <= 0.0:
+            return None
+        if (index, length) not in self._tips:
+            self._tips[index, length] = tip_clearance(self.witnesses[index].curve, self._wall, length)
+        return self._tips[index, length]
+
+    def keeps(self, witness: Witness, instrument: Instrument) -> bool:
+        """Whether a path is proved to keep curvature limit, clearance and working length; the tip is not looked at."""
+        return (
+            witness.curvature_bound <= instrument.limits.curvature_max
+            and witness.clearance_bound >= instrument.radius
+            and witness.length + self._settings.before_start_mm <= instrument.working_length_mm
+        )
+
+    def cells(self) -> tuple[Cell, ...]:
+        """The verdict for every instrument, in the order given."""
+        own = [self.judge(instrument) for instrument in self._instruments]
+        return tuple(self.inherit(own, k) for k in range(len(own)))
+
+    def inherit(self, own: Sequence[Cell], k: int) -> Cell:
+        """A cell that is not feasible by itself takes the yes of a harder instrument: it can take every shape of that one."""
+        if own[k].verdict is Verdict.FEASIBLE:
+            return own[k]
+        mine = self._instruments[k]
+        for cell, other in zip(own, self._instruments, strict=True):
+            if cell.verdict is Verdict.FEASIBLE and other is not mine and mine.is_no_harder_than(other):
+                assert cell.path is not None
+                return self.cell_of(mine, cell.path, self.tip(cell.path, other.rigid_tip_mm), other.name)
+        return own[k]
+
+    def judge(self, instrument: Instrument) -> Cell:
+        """The best of the witnesses for one instrument, or the proof that there is none."""
+        proof = self.proof_against(instrument)
+        if proof is not None:
+            ceiling = self._target.ceiling
+            x, y, z = (float(v) for v in ceiling.place)
+            return Cell(
+                instrument=instrument.name,
+                target=self._target.label,
+                verdict=Verdict.IMPOSSIBLE,
+                reason=proof,
+                margin=ceiling.bound - instrument.radius,
+                margin_point=(x, y, z),
+                margin_of="ceiling",
+            )
+        if not self.witnesses:
+            return Cell(
+                instrument=instrument.name,
+                target=self._target.label,
+                verdict=Verdict.FLAGGED,
+                reason="no path was found: no chain of inscribed spheres, or no spline along it, joins the start and this target",
+            )
+        # The tip is costly: it is measured on the best paths first and left at the first that serves.
+        order = sorted(range(len(self.witnesses)), key=lambda k: self.shortfall(instrument, k, None))
+        cells = []
+        for index in order:
+            tip = self.tip(index, instrument.rigid_tip_mm)
+            cell = self.cell_of(instrument, index, tip, None)
+            if cell.verdict is Verdict.FEASIBLE:
+                return cell
+            cells.append((self.shortfall(instrument, index, tip), cell))
+        return min(cells, key=lambda pair: pair[0])[1]
+
+    def shortfall(self, instrument: Instrument, index: int, tip: TipClearance | None) -> float:
+        """How far a path is from serving, as the largest relative excess over a limit; negative where it serves."""
+        witness = self.witnesses[index]
+        least = witness.clearance_bound if tip is None else min(witness.clearance_bound, tip.bound)
+        reach = witness.length + self._settings.before_start_mm
+        return max(
+            1.0 - least / instrument.radius,
+            witness.curvature_bound * instrument.bend_radius_min_mm - 1.0,
+            reach / instrument.working_length_mm - 1.0,
+        )
+
+    def cell_of(self, instrument: Instrument, index: int, tip: TipClearance | None, inferred_from: str | None) -> Cell:
+        """The cell of an instrument on one witness."""
+        witness = self.witnesses[index]
+        x, y, z = (float(v) for v in witness.curve(witness.curve.parameter(witness.clearance_at))[0])
+        margin, at, point, part = witness.clearance - instrument.radius, witness.clearance_at, (x, y, z), "shaft"
+        if tip is not None and tip.sampled < witness.clearance:
+            margin, at, point, part = tip.sampled - instrument.radius, tip.arc_length, tip.point, "tip"
+        broken = self.broken(instrument, witness, tip)
+        reason = "; ".join(broken) if broken else "all limits are kept and proved over the whole path"
+        if inferred_from is not None:
+            reason = f"can take every shape that {inferred_from} takes on its path, and is no thicker and no shorter"
+        return Cell(
+            instrument=instrument.name,
+            target=self._target.label,
+            verdict=Verdict.FLAGGED if broken and inferred_from is None else Verdict.FEASIBLE,
+            reason=reason,
+            margin=margin,
+            margin_at=at,
+            margin_point=point,
+            margin_of=part,
+            bend_radius=1.0 / max(witness.curvature, 1e-9),
+            bend_at=witness.curvature_at,
+            length=witness.length,
+            tip=tip,
+            inferred_from=inferred_from,
+            path=index,
+        )
+
+    def broken(self, instrument: Instrument, witness: Witness, tip: TipClearance | None) -> list[str]:
+        """What this path does not keep, in words; empty when all is proved."""
+        said = []
+        radius = instrument.radius
+        if witness.clearance_bound < radius:
+            said.append(
+                f"clearance falls to {witness.clearance:.2f} mm at {witness.clearance_at:.1f} mm where {radius:.2f} mm are needed"
+                if witness.clearance < radius
+                else "the clearance between the samples could not be proved"
+            )
+        if witness.curvature_bound > instrument.limits.curvature_max:
+            said.append(
+                f"the bend radius falls to {1.0 / witness.curvature:.1f} mm at {witness.curvature_at:.1f} mm "
+                f"where {instrument.bend_radius_min_mm:.1f} mm are allowed"
+                if witness.curvature > instrument.limits.curvature_max
+                else "the curvature between the samples could not be proved"
+            )
+        if tip is not None and tip.bound < radius:
+            said.append(
+                f"the rigid tip of {instrument.rigid_tip_mm:g} mm comes to {tip.sampled:.2f} mm of the wall "
+                f"with its front at {tip.arc_length:.1f} mm where {radius:.2f} mm are required"
+            )
+        used = witness.length + self._settings.before_start_mm
+        if used > instrument.working_length_mm:
+            said.append(f"{used:.0f} mm of instrument are needed, the working length is {instrument.working_length_mm:.0f} mm")
+        return said
+
+
+def witness_of(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Witness:
+    """A path measured and proved."""
+    profile = measure_path(curve, wall, spacing=FLAG_SPACING)
+    tightest, sharpest = int(np.argmin(profile.clearance)), int(np.argmax(profile.curvature))
+    return Witness(
+        curve=curve,
+        length=profile.length,
+        clearance=float(profile.clearance[tightest]),
+        clearance_at=float(profile.arc_length[tightest]),
+        clearance_bound=clearance_lower_bound(curve, wall, limit=limits.clearance_min, tolerance=0.002).bound,
+        curvature=float(profile.curvature[sharpest]),
+        curvature_at=float(profile.arc_length[sharpest]),
+        curvature_bound=curvature_upper_bound(curve, limit=limits.curvature_max).bound,
+    )
