@@ -108,12 +108,13 @@ def test_a_ureter_is_flagged_exactly_where_it_is_narrower_than_the_endoscope(sid
     orifice, calyces = orifice_and_calyces(hubmap_tips(mesh)[3])
     # The orifice is the lowest end of the model (y is up): within a few mm of the tip stated with the data.
     assert np.linalg.norm(orifice.point - {"L": [10.4, 9.1, -53.2], "R": [-36.2, 11.2, -58.4]}[side]) < 6.0
-    for number, calyx in enumerate(calyces):
+    # All three calyces of one side; of the other the highest alone, since each way is 300 mm long.
+    for number, calyx in enumerate(calyces if side == "L" else calyces[-1:]):
         target = tmp_path / f"run{number}"
         status = status_of(
             ["plan", "tube", "--mesh", str(mesh), "--curvature-max", "0.125", "--clearance-min", "1.2",
              "--start", ",".join(map(str, orifice.point)), "--goal", ",".join(map(str, calyx.point)),
-             "--max-rounds", "60", "-o", str(target), "--no-recording", "--no-report", "--quiet"]
+             "--max-rounds", "20", "-o", str(target), "--no-recording", "--no-report", "--quiet"]
         )  # fmt: skip
         assert status == 3
         result = json.loads((target / "result.json").read_text())
