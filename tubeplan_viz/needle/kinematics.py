@@ -178,26 +178,21 @@ def bend_from(
     """As `bend`, from poses given as (..., 3) position, tangent and normal of each path."""
     shape = (*np.shape(lengths), 3)
     curved = np.broadcast_to(curvatures, shape[:-1])
-    forward, aside = chord(lengths, curved)
+    forward, aside = (v[..., None] for v in chord(lengths, curved))
     angle = lengths * curved
-    cos_turn, sin_turn, cos_angle, sin_angle = np.cos(turns), np.sin(turns), np.cos(angle), np.sin(angle)
-    out = [np.empty(shape) for _ in range(6)]
-    starts, tangents, normals, ends, end_tangents, end_normals = out
-    p, t, n = (np.broadcast_to(v, (*shape[:-2], 3)) for v in (position, tangent, normal))
+    cos_turn, sin_turn, cos_angle, sin_angle = (
+        v[..., None] for v in (np.cos(turns), np.sin(turns), np.cos(angle), np.sin(angle))
+    )
+    starts, tangents, normals, ends, end_tangents, end_normals = np.empty((6, *shape))
+    p, t, n = position, tangent, normal
+    side = np.cross(t, n)
     for k in range(shape[-2]):
-        side = np.stack(
-            [t[..., 1] * n[..., 2] - t[..., 2] * n[..., 1],
-             t[..., 2] * n[..., 0] - t[..., 0] * n[..., 2],
-             t[..., 0] * n[..., 1] - t[..., 1] * n[..., 0]],
-            axis=-1,
-        )  # fmt: skip
-        n = cos_turn[..., k, None] * n + sin_turn[..., k, None] * side
+        c, s = cos_turn[..., k, :], sin_turn[..., k, :]
+        n, side = c * n + s * side, c * side - s * n
         starts[..., k, :], tangents[..., k, :], normals[..., k, :] = p, t, n
-        p = p + forward[..., k, None] * t + aside[..., k, None] * n
-        t, n = (
-            cos_angle[..., k, None] * t + sin_angle[..., k, None] * n,
-            cos_angle[..., k, None] * n - sin_angle[..., k, None] * t,
-        )
+        p = p + forward[..., k, :] * t + aside[..., k, :] * n
+        c, s = cos_angle[..., k, :], sin_angle[..., k, :]
+        t, n = c * t + s * n, c * n - s * t
         ends[..., k, :], end_tangents[..., k, :], end_normals[..., k, :] = p, t, n
     return Arcs(starts, tangents, normals, np.asarray(lengths, float), curved, ends, end_tangents, end_normals)
 

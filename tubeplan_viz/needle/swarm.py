@@ -1,0 +1,351 @@
+"""Needle paths in space by a dynamic-weight particle swarm, polished onto the target, with their Pareto front.
+
+The swarm is that of Huo et al. (2015), Robot 37(4), 385-394, eq. 14 and steps 1-5: 50 particles, 1000 rounds, c1 = 1,
+c2 = 2, inertia from 0.5 to 1.5, stop at a tip error under 0.1 mm. Not printed and chosen here: the weights
+g1, g2 (`weights`), the course of the inertia (falling), and a limit on the speed of particles.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from segmentation.arrays import FloatArray
+from segmentation.errors import CaseError
+from tubeplan_viz.needle.kinematics import Controls, Pose
+from tubeplan_viz.needle.polish import polish
+from tubeplan_viz.needle.spatial import SpatialProblem, Worth, worth
+from tubeplan_viz.needle.zigzag import best_starts
+
+CLOUD_EVERY = 10  # rounds between two pictures of the population
+TIGHTER = (1.0, 2.0, 4.0)  # mm of distance beyond the safety distance on the Pareto front
+LOOSER = (0.5, 1.0, 2.0)  # mm of tip error on the Pareto front
+FRONT_SHOWN = 40
+ZIGZAGS = 2  # starts of the polish besides the swarm's
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwarmSettings:
+    """The swarm of the source, and how often it is tried.
+
+    Attributes
+    ----------
+    particles, rounds : int
+    inertia : (float, float)
+        At the last and at the first round.
+    own, shared : float
+        c1, pull to a particle's own best place, and c2, to the best of all.
+    stop_error : float, mm
+        The swarm ends when its best path ends this near to the target.
+    restarts : int
+        Swarms at most, until one can be polished; with a time budget as many as it allows, the best of them kept.
+    """
+
+    particles: int = 50
+    rounds: int = 1000
+    inertia: tuple[float, float] = (0.5, 1.5)
+    own: float = 1.0
+    shared: float = 2.0
+    stop_error: float = 0.1
+    restarts: int = 8
+
+    def __post_init__(self) -> None:
+        if not 5 <= self.particles <= 5000:
+            raise CaseError(f"particles is {self.particles}, expected 5 to 5000")
+        if not 1 <= self.rounds <= 100_000:
+            raise CaseError(f"rounds is {self.rounds}, expected 1 to 100000")
+        if not 1 <= self.restarts <= 1000:
+            raise CaseError(f"restarts is {self.restarts}, expected 1 to 1000")
+        if not 0.0 < self.stop_error <= 10.0:
+            raise CaseError(f"stop_error_mm is {self.stop_error:g}, expected more than 0 and at most 10")
+
+
+@dataclass(frozen=True, eq=False)
+class SwarmRound:
+    """The swarm after one round; `best` (d,) unknowns, `cloud` (k, d) of the whole population now and then, or None."""
+
+    index: int
+    restart: int
+    best: FloatArray
+    error: float
+    length: float
+    danger: float
+    cloud: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Tradeoff:
+    """One path of the Pareto front: no other found is better in error, length and danger at once."""
+
+    pose: Pose
+    controls: Controls
+    error: float
+    length: float
+    danger: float
+    clearance: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NeedlePath:
+    """A path in space that ends on the target, or why there is none.
+
+    Attributes
+    ----------
+    pose, controls : Pose and Controls, or None without a path
+    clearances : (m,) float array, mm
+        Lower bound of the distance to each obstacle, along the whole path.
+    error, length, danger : float
+    rounds : tuple of SwarmRound
+    front : tuple of Tradeoff
+        By danger and length.
+    reason : str or None
+    swarms : int
+        Swarms that were run.
+    """
+
+    pose: Pose | None = None
+    controls: Controls | None = None
+    clearances: FloatArray | None = None
+    error: float = np.inf
+    danger: float = np.inf
+    rounds: tuple[SwarmRound, ...] = ()
+    front: tuple[Tradeoff, ...] = ()
+    reason: str | None = None
+    swarms: int = 0
+
+    @property
+    def feasible(self) -> bool:
+        """Whether there is a path."""
+        return self.controls is not None
+
+    @property
+    def length(self) -> float:
+        """Length, mm; infinite without a path."""
+        return np.inf if self.controls is None else self.controls.length
+
+    @property
+    def clearance(self) -> float:
+        """Least distance to any obstacle, mm; infinite without obstacles."""
+        return np.inf if self.clearances is None or not len(self.clearances) else float(self.clearances.min())
+
+
+def weights(length: float, distance: float) -> tuple[float, float]:
+    """K_t and K_L of eq. 14 from the best path's length: length first, then accuracy.
+
+    The source gives the roles of g1 and g2, not their forms. Here both are linear in how far the
+    length is above the straight distance, from 30 % above (K_t = 2, K_L = 1) to none (K_t = 20, K_L = 0.2).
+    """
+    share = float(np.clip((length / distance - 1.0) / 0.3, 0.0, 1.0))
+    return 20.0 - 18.0 * share, 0.2 + 0.8 * share
+
+
+def swarm_rounds(
+    problem: SpatialProblem, settings: SwarmSettings, rng: np.random.Generator, *, restart: int = 0
+) -> Iterator[SwarmRound]:
+    """The printed swarm, round by round."""
+    low, high = problem.bounds
+    count, n = settings.particles, problem.settings.pieces
+    width = high - low
+    x = low + width * rng.random((count, len(low)))
+    shares = rng.dirichlet(np.full(n, 2.0), count)
+    x[:, n : 2 * n] = np.clip(shares * problem.distance * rng.uniform(1.0, 1.3, (count, 1)), low[n : 2 * n], high[n : 2 * n])
+    speed = 0.1 * width * rng.uniform(-1.0, 1.0, x.shape)
+    fastest = 0.15 * width
+    own, own_worth, own_score = x.copy(), worth(problem, x), np.full(count, np.inf)
+    lead: float | None = None
+    for index in range(settings.rounds):
+        now = own_worth if index == 0 else worth(problem, x)
+        length = problem.distance * 1.3 if lead is None else lead
+        k_error, k_length = weights(length, problem.distance)
+        # The weights have changed since the best places were scored: score them again before comparing.
+        own_score = score(own_worth, k_error, k_length)
+        new_score = score(now, k_error, k_length)
+        better = (new_score < own_score) | ((index == 0) & np.isfinite(new_score))
+        own[better] = x[better]
+        own_worth = Worth(
+            np.where(better, now.error, own_worth.error),
+            np.where(better, now.length, own_worth.length),
+            np.where(better, now.danger, own_worth.danger),
+        )
+        own_score = np.where(better, new_score, own_score)
+        leader = int(own_score.argmin())
+        if np.isfinite(own_score[leader]):
+            lead = float(own_worth.length[leader])
+        state = SwarmRound(
+            index,
+            restart,
+            own[leader].copy(),
+            float(own_worth.error[leader]),
+            float(own_worth.length[leader]),
+            float(own_worth.danger[leader]),
+            x.copy() if index % CLOUD_EVERY == 0 else None,
+        )
+        yield state
+        if np.isfinite(own_score[leader]) and state.error < settings.stop_error:
+            return
+        fall = index / max(settings.rounds - 1, 1)
+        inertia = settings.inertia[1] + (settings.inertia[0] - settings.inertia[1]) * min(1.0, 4.0 * fall)
+        pull_own, pull_all = settings.own * rng.random(x.shape), settings.shared * rng.random(x.shape)
+        speed = np.clip(inertia * speed + pull_own * (own - x) + pull_all * (own[leader] - x), -fastest, fastest)
+        x = x + speed
+        x[:, :n] = np.mod(x[:, :n] + np.pi, 2.0 * np.pi) - np.pi
+        out = (x < low) | (x > high)
+        speed[out] *= -0.5
+        x = np.clip(x, low, high)
+
+
+def score(found: Worth, k_error: float, k_length: float) -> FloatArray:
+    """Eq. 14: K_t f_err + K_L f_len + f_danger."""
+    return np.asarray(k_error * found.error + k_length * found.length + found.danger)
+
+
+def plan_spatial(
+    problem: SpatialProblem,
+    settings: SwarmSettings | None = None,
+    *,
+    rng: np.random.Generator | None = None,
+    time_budget: float | None = None,
+    front: bool = True,
+    watch: Callable[[SwarmRound], None] | None = None,
+) -> NeedlePath:
+    """The best path found, polished onto the target.
+
+    Parameters
+    ----------
+    problem : SpatialProblem
+    settings : SwarmSettings, optional
+    rng : Generator, optional
+        All randomness; the same one gives the same path (without a time budget).
+    time_budget : float, s, optional
+        Try swarms until it is used up and keep the best; without it the first that can be polished ends the search.
+    front : bool
+        Work out the Pareto front too.
+    watch : callable, optional
+        Told each round as it happens.
+
+    Returns
+    -------
+    NeedlePath
+    """
+    settings = settings or SwarmSettings()
+    rng = rng or np.random.default_rng(0)
+    begun = time.perf_counter()
+    rounds: list[SwarmRound] = []
+    best: FloatArray | None = None
+    best_cost = np.inf
+    swarms = 0
+    nearest: SwarmRound | None = None
+    for restart in range(settings.restarts if time_budget is None else 1000):
+        swarms += 1
+        for state in swarm_rounds(problem, settings, rng, restart=restart):
+            rounds.append(state)
+            if watch is not None:
+                watch(state)
+            if time_budget is not None and time.perf_counter() - begun > time_budget and swarms > 1:
+                break
+        last = rounds[-1]
+        if np.isfinite(last.danger) and (nearest is None or last.error < nearest.error):
+            nearest = last
+        for start in [last.best, *(best_starts(problem, ZIGZAGS) if restart == 0 else [])]:
+            made = polish(problem, start)
+            if made is not None:
+                cost = cost_of(problem, made)
+                if cost < best_cost:
+                    best, best_cost = made, cost
+        if (time_budget is None and best is not None) or (time_budget is not None and time.perf_counter() - begun > time_budget):
+            break
+    if best is None:
+        return NeedlePath(rounds=tuple(rounds), swarms=swarms, reason=no_path(problem, nearest, swarms))
+    found = made_path(problem, best, tuple(rounds), swarms)
+    if not found.feasible or not front:
+        return found
+    points = pareto_front(problem, best, rounds)
+    return NeedlePath(
+        pose=found.pose,
+        controls=found.controls,
+        clearances=found.clearances,
+        error=found.error,
+        danger=found.danger,
+        rounds=found.rounds,
+        front=points,
+        swarms=swarms,
+    )
+
+
+def cost_of(problem: SpatialProblem, x: FloatArray) -> float:
+    """Length and weighted danger of one path, mm."""
+    found = worth(problem, x[None])
+    return float(found.length[0] + problem.settings.weight_danger * found.danger[0])
+
+
+def made_path(problem: SpatialProblem, x: FloatArray, rounds: tuple[SwarmRound, ...], swarms: int) -> NeedlePath:
+    """The path with its own measures; its distances bounded over every point of it."""
+    pose, controls = problem.controls(x)
+    arcs = problem.arcs(x)
+    gaps = problem.scene.least_distance(arcs)
+    if len(gaps) and gaps.min() < problem.settings.safety:
+        worst = int(gaps.argmin())
+        return NeedlePath(
+            rounds=rounds,
+            swarms=swarms,
+            reason=f"the best path comes to {gaps[worst]:.3f} mm from obstacle {worst + 1}, "
+            f"under safety_mm {problem.settings.safety:g}",
+        )
+    return NeedlePath(
+        pose=pose,
+        controls=controls,
+        clearances=gaps,
+        error=float(np.linalg.norm(arcs.tips - problem.target)),
+        danger=float((problem.settings.safety / gaps).sum()) if len(gaps) else 0.0,
+        rounds=rounds,
+        swarms=swarms,
+    )
+
+
+def no_path(problem: SpatialProblem, nearest: SwarmRound | None, swarms: int) -> str:
+    """Why no path was found, one sentence."""
+    tried = f"{swarms} swarm{'' if swarms == 1 else 's'} of at most {problem.settings.pieces} pieces"
+    if nearest is None:
+        return f"no path was found: in {tried} every path came within {problem.settings.safety:g} mm of an obstacle"
+    return f"no path was found: the nearest of {tried} that keeps its distance ends {nearest.error:.2f} mm from the target"
+
+
+def pareto_front(problem: SpatialProblem, best: FloatArray, rounds: list[SwarmRound]) -> tuple[Tradeoff, ...]:
+    """Paths that are not worse than another in error, length and danger at once.
+
+    Polished ones at larger distances and at allowed tip errors, and the swarm's own populations.
+    """
+    exact = [best]
+    for more in TIGHTER:
+        made = polish(problem, exact[-1], safety=problem.settings.safety + more) if len(problem.scene) else None
+        if made is not None:
+            exact.append(made)
+    exact += [made for error in LOOSER if (made := polish(problem, best, error=error)) is not None]
+    clouds = [state.cloud for state in rounds if state.cloud is not None]
+    leads = [state.best[None] for state in rounds[:: max(1, len(rounds) // 200)]]
+    pool = np.vstack([np.array(exact), *clouds[-30:], *leads])
+    found = worth(problem, pool)
+    goals = np.column_stack([np.where(found.error < 1e-6, 0.0, found.error), found.length, found.danger])
+    near = np.flatnonzero(np.isfinite(goals).all(axis=1) & (goals[:, 0] <= 5.0))
+    front = near[undominated(goals[near])]
+    front = front[np.argsort(goals[front] @ [1e3, 1.0, 0.0], kind="stable")][:FRONT_SHOWN]
+    made_front = []
+    for row in front:
+        pose, controls = problem.controls(pool[row])
+        gaps = problem.scene.piece_distances(problem.arcs(pool[row]))
+        least = float(gaps.min()) if gaps.size else np.inf
+        made_front.append(Tradeoff(pose, controls, float(goals[row, 0]), float(goals[row, 1]), float(goals[row, 2]), least))
+    return tuple(made_front)
+
+
+def undominated(goals: FloatArray) -> FloatArray:
+    """Rows of (k, 3) goals that no other row beats in one and equals or beats in all: their numbers."""
+    order = np.lexsort(goals.T[::-1])
+    kept: list[int] = []
+    for row in order:
+        if not any((goals[other] <= goals[row]).all() for other in kept):
+            kept.append(int(row))
+    return np.array(kept, dtype=int)
