@@ -116,6 +116,7 @@ TUBE_KEYS: dict[str, tuple[str, str]] = {
     "sigma_growth": ("refine", "sigma_growth"),
     "sample_spacing_mm": ("refine", "sample_spacing"),
     "short_run_mm": ("refine", "short_run"),
+    "slice_again_mm": ("refine", "slice_again"),
     "slice_pairs": ("refine", "slice_pairs"),
     "unchanged_rounds": ("refine", "unchanged_rounds"),
     "max_rounds": ("refine", "max_rounds"),

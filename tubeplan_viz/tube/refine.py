@@ -41,6 +41,9 @@ class RefineSettings:
         Distance between samples of the curve.
     short_run : float, mm
         Only runs of short clearance longer than this add a feature (U_th).
+    slice_again : float, mm
+        The wall is sliced again once a sample has moved this far, and before the iteration
+        ends. A round moves the curve by some 0.01 mm; slicing it every time changes nothing.
     slice_pairs : int
         sigma of algorithm 1: pairs of slices per sample.
     unchanged_rounds : int
@@ -56,6 +59,7 @@ class RefineSettings:
     sigma_growth: float = 0.01
     sample_spacing: float = 0.25
     short_run: float = 1.0
+    slice_again: float = 0.1
     slice_pairs: int = 2
     unchanged_rounds: int = 3
     max_rounds: int = 400
@@ -127,18 +131,24 @@ def refine(
     )
     grid = np.linspace(0.0, 1.0, max(int(np.ceil(curve.length / settings.sample_spacing)), 8) + 1)
     unchanged, last_sharp, last_worst = 0, np.empty(0, dtype=np.int64), np.inf
+    sliced: FloatArray | None = None
     for index in range(1, settings.max_rounds + 1):
         decisions: list[str] = []
-        short, values = slices.short_samples(curve, grid)
-        added = missing_features(features, curve, grid, short, values, centerline, tree, settings)
-        decisions += [
-            f"clearance {r:.2f} mm of {limits.clearance_min:g} mm: centerline point added as a feature" for _, r in added
-        ]
         knots = np.array([f.u for f in features])
         u = np.union1d(grid, knots)
         curvature = curve.curvature(u)
         sharp = np.flatnonzero(curvature > target)
         moving = features_of_runs(sharp, u, knots)
+        added: list[tuple[Feature, float]] = []
+        place = curve(grid)
+        if not len(moving) or sliced is None or np.abs(place - sliced).max() > settings.slice_again:
+            short, values = slices.short_samples(curve, grid)
+            added = missing_features(features, curve, grid, short, values, centerline, tree, settings)
+            # What was added changes the curve around it at once: slice it again next time.
+            sliced = None if added else place
+        decisions += [
+            f"clearance {r:.2f} mm of {limits.clearance_min:g} mm: centerline point added as a feature" for _, r in added
+        ]
         if not added and not len(moving):
             return
         worst = float(curvature.max())

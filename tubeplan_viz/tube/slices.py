@@ -45,7 +45,7 @@ class SliceClearance:
     def short_samples(self, curve: SplineCurve, u: FloatArray) -> tuple[IntArray, FloatArray]:
         """Indices of the samples with slice clearance below the limit, and those clearances in mm."""
         points = curve(u)
-        suspects = self._suspects(points)
+        suspects = self._nearer_than(self.limit, points)
         if not len(suspects):
             return suspects, np.empty(0)
         values = self._slices(points, suspects)
@@ -54,21 +54,20 @@ class SliceClearance:
 
     def outside(self, curve: SplineCurve, u: FloatArray) -> IntArray:
         """Indices of the samples that lie outside the lumen or on its wall."""
-        self._suspects(curve(u))
-        return np.flatnonzero(self._distance <= 0)
+        return self._nearer_than(0.0, curve(u))
 
-    def _suspects(self, points: FloatArray) -> IntArray:
-        """Samples whose exact distance is below the limit; distances known to be above are not asked again."""
+    def _nearer_than(self, threshold: float, points: FloatArray) -> IntArray:
+        """Samples with a clearance of `threshold` or less; clearances known to be above it are not asked again."""
         if self._points is None or len(self._points) != len(points):
             self._distance = self.wall.clearance(points)
             self._points = points.copy()
         else:
             moved = np.linalg.norm(points - self._points, axis=1)
-            doubtful = np.flatnonzero(self._distance - moved < self.limit)
+            doubtful = np.flatnonzero(self._distance - moved <= threshold)
             if len(doubtful):
                 self._distance[doubtful] = self.wall.clearance(points[doubtful])
                 self._points[doubtful] = points[doubtful]
-        return np.flatnonzero(self._distance < self.limit)
+        return np.flatnonzero(self._distance <= threshold)
 
     def _slices(self, points: FloatArray, samples: IntArray) -> FloatArray:
         """Slice clearance of the given samples, mm; at twice the limit and beyond it may read infinite."""
