@@ -92,10 +92,14 @@ def phrase(*parts: str | Figure | Phrase | None) -> Phrase:
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where figures come from: result.json by dotted path, and the derived values."""
+    """Where figures come from: result.json by dotted path, and the derived values.
+
+    `prefix` stands before the keys that are printed, for a result that is a part of a larger file.
+    """
 
     result: Mapping[str, Any]
     derived: Mapping[str, float] = field(default_factory=dict)
+    prefix: str = ""
 
     def value(self, key: str) -> float | None:
         """The number at `key`, or None where the result has none."""
@@ -105,7 +109,7 @@ class Source:
     def figure(self, key: str, digits: int, unit: str = "", *, signed: bool = False, strong: bool = False) -> Figure | None:
         """The figure at `key`, or None where the result has none."""
         value = self.value(key)
-        return None if value is None else Figure(key, value, digits, unit, signed, strong)
+        return None if value is None else Figure(self.prefix + key, value, digits, unit, signed, strong)
 
     def need(self, key: str, digits: int, unit: str = "", *, signed: bool = False, strong: bool = False) -> Figure:
         """The figure at `key`, which the caller knows to be there.

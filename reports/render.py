@@ -15,9 +15,10 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from reports.comparison import make_comparison_page
 from reports.views import make_page
 from segmentation.errors import TubeplanError
-from tubeplan_viz.result import Review
+from tubeplan_viz.result import Comparison, Review
 
 
 class ReportError(TubeplanError):
@@ -86,20 +87,43 @@ def render_report(review: Review) -> str:
         If the result holds numbers that are not finite.
     """
     page = make_page(review)
-    script = _part("scene", "dist", "report.js")
-    style = _part("templates", "style.css").replace("/*DARK*/", _part("templates", "dark.css"))
-    return (
-        _environment()
-        .get_template("report.html.j2")
-        .render(
-            page=page,
-            policy=Markup(policy(script)),
-            style=Markup(style),
-            script=Markup(script),
-            result_json=embedded(page.result),
-            scene_json=embedded(page.scene),
-        )
+    return _filled(
+        "report.html.j2",
+        script=_part("scene", "dist", "report.js"),
+        style=_style(),
+        page=page,
+        result_json=embedded(page.result),
+        scene_json=embedded(page.scene),
     )
+
+
+def render_comparison(comparison: Comparison) -> str:
+    """The page of several runs side by side as HTML, without outside references.
+
+    Raises
+    ------
+    ReportError
+        If a result holds numbers that are not finite.
+    """
+    page = make_comparison_page(comparison)
+    return _filled(
+        "compare.html.j2",
+        script=_part("scene", "dist", "compare.js"),
+        style=_style() + _part("templates", "compare.css"),
+        page=page,
+        compare_json=embedded(page.document),
+        scene_json=embedded(page.scene),
+    )
+
+
+def _style() -> str:
+    """Tokens and parts that all pages share."""
+    return _part("templates", "style.css").replace("/*DARK*/", _part("templates", "dark.css"))
+
+
+def _filled(template: str, *, script: str, style: str, **values: Any) -> str:
+    made = {"policy": Markup(policy(script)), "style": Markup(style), "script": Markup(script)}
+    return _environment().get_template(template).render(**made, **values)
 
 
 def write_report(review: Review, path: Path) -> None:
@@ -110,7 +134,22 @@ def write_report(review: Review, path: Path) -> None:
     ReportError
         If the file cannot be written.
     """
-    data = render_report(review).encode("utf-8")
+    _write(render_report(review), path)
+
+
+def write_comparison(comparison: Comparison, path: Path) -> None:
+    """Write the page of several runs; readable by its owner only, on the disk when this returns.
+
+    Raises
+    ------
+    ReportError
+        If the file cannot be written.
+    """
+    _write(render_comparison(comparison), path)
+
+
+def _write(page: str, path: Path) -> None:
+    data = page.encode("utf-8")
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
         with os.fdopen(handle, "wb") as file:

@@ -74,6 +74,8 @@ def still_picture(
     labels: Sequence[Label],
     view: View,
     words: str,
+    *,
+    lines: Sequence[tuple[str, FloatArray]] = (),
 ) -> Markup:
     """The scene as one <svg>.
 
@@ -87,11 +89,13 @@ def still_picture(
     view : View
     words : str
         What the picture shows, for those who cannot see it.
+    lines : sequence of (class, (n, 3) float array in mm)
+        Further paths, each with its class of the style sheet.
     """
     toward = _unit(view.toward)
     right = _unit(np.cross(view.up, toward))
     axes = np.stack([right, np.cross(toward, right), toward], axis=1)  # columns: right, up, depth
-    shown = (mesh.vertices if mesh is not None else path) @ axes
+    shown = (mesh.vertices if mesh is not None else np.vstack([path.reshape(-1, 3), *(line for _, line in lines)])) @ axes
     if len(shown) == 0:
         return Markup("")
     low, high = shown[:, :2].min(axis=0), shown[:, :2].max(axis=0)
@@ -112,6 +116,7 @@ def still_picture(
         parts.append(_line(line, "still-path"))
         parts += [_line(line[first : last + 1], f"still-flag {kind}") for kind, first, last in stretches if last > first]
         parts += [tag("circle", class_="end", cx=float(p[0]), cy=float(p[1]), r=4.5) for p in (line[0], line[-1])]
+    parts += [_line(place(line), name) for name, line in lines]
     parts += _labels(labels, place)
     return Markup('<svg class="still" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
         WIDE, TALL, words, Markup("").join(parts)

@@ -100,15 +100,15 @@ def frame(width: Width, size: tuple[float, float], label: str, parts: Sequence[M
     )
 
 
-def path_axis(length: float, x: Axis, y: float, room: float) -> list[Markup]:
-    """Ticks and figures in mm under a picture that has the path along x."""
+def path_axis(length: float, x: Axis, y: float, room: float, *, unit: str = "mm") -> list[Markup]:
+    """Ticks and figures under a picture that has the path along x, in mm or in another unit."""
     step = nice_step(length, max(2, int(room / 52)))
     digits = step_digits(step)
     parts: list[Markup] = []
     for k in range(int(length / step + 1e-9) + 1):
         at = x(k * step)
         parts.append(tag("line", class_="tick", x1=at, x2=at, y1=y, y2=y + 4))
-        text = f"{k * step:.{digits}f}" + ("" if k else " mm")
+        text = f"{k * step:.{digits}f}" + ("" if k else f" {unit}")
         parts.append(tag("text", text, class_="axis", x=at, y=y + 16, text_anchor="middle" if k else "start"))
     return parts
 

@@ -1,4 +1,4 @@
-"""Bundle the report's scripts into dist/report.js: ``python reports/scene/build.py`` (needs node and npm, never at run time).
+"""Bundle the pages' scripts into dist/: ``python reports/scene/build.py`` (needs node and npm, never at run time).
 
 The lock file names versions and checksums and no registry: ``npm ci`` uses the one that is configured.
 """
@@ -11,6 +11,7 @@ import subprocess
 from pathlib import Path
 
 HERE = Path(__file__).parent
+PAGES = {"app.js": "report.js", "compare.js": "compare.js"}
 BUNDLED = ("three",)  # esbuild only builds; nothing of it ends up in the bundle
 
 
@@ -24,7 +25,7 @@ def strip_lock(path: Path) -> None:
 
 def licences() -> str:
     """Versions and licence texts of what is in the bundle."""
-    parts = ["report.js contains these packages besides tubeplan's own source in ../src:\n"]
+    parts = [f"{' and '.join(PAGES.values())} contain these packages besides tubeplan's own source in ../src:\n"]
     for name in BUNDLED:
         folder = HERE / "node_modules" / name
         about = json.loads((folder / "package.json").read_text())
@@ -41,15 +42,18 @@ def sources_digest() -> str:
 def build() -> None:
     """Install the locked packages, bundle, and write the licences beside the bundle."""
     subprocess.run(["npm", "ci", "--no-audit", "--no-fund", "--ignore-scripts"], cwd=HERE, check=True)
-    target = HERE / "dist" / "report.js"
-    target.parent.mkdir(exist_ok=True)
+    dist = HERE / "dist"
+    dist.mkdir(exist_ok=True)
     options = ["--bundle", "--minify", "--format=iife", "--target=es2022", "--charset=utf8", "--legal-comments=none"]
-    subprocess.run([HERE / "node_modules/.bin/esbuild", "src/app.js", *options, f"--outfile={target}"], cwd=HERE, check=True)
-    text = target.read_text()
-    if "</script" in text or "<!--" in text:
-        raise SystemExit("the bundle holds text that would end its own script element; rename it in the source")
-    (target.parent / "THIRD_PARTY.txt").write_text(licences())
-    (target.parent / "SOURCES.sha256").write_text(sources_digest() + "\n")
+    for source, name in PAGES.items():
+        subprocess.run(
+            [HERE / "node_modules/.bin/esbuild", f"src/{source}", *options, f"--outfile={dist / name}"], cwd=HERE, check=True
+        )
+        text = (dist / name).read_text()
+        if "</script" in text or "<!--" in text:
+            raise SystemExit("the bundle holds text that would end its own script element; rename it in the source")
+    (dist / "THIRD_PARTY.txt").write_text(licences())
+    (dist / "SOURCES.sha256").write_text(sources_digest() + "\n")
 
 
 if __name__ == "__main__":

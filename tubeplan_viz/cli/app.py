@@ -11,7 +11,7 @@ from typer.exceptions import TyperException
 
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
-from tubeplan_viz.cli import bench, demo, endpoints, inspect, plan, run, segment, verify, view
+from tubeplan_viz.cli import bench, compare, demo, endpoints, inspect, plan, run, segment, verify, view
 from tubeplan_viz.plan import NoPathError
 
 OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
@@ -35,6 +35,7 @@ for name, command in (
     ("segment", segment.segment),
     ("endpoints", endpoints.endpoints),
     ("verify", verify.verify),
+    ("compare", compare.compare),
     ("view", view.view),
     ("bench", bench.bench),
 ):

@@ -3,11 +3,34 @@
 Importing this package does not load rerun; the first recording opened or read does.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from tubeplan_viz.recording.native_viewer import has_display, show_native
 from tubeplan_viz.recording.readback import RecordedIteration, RecordedPath, RecordedRun, read_recording
 from tubeplan_viz.recording.stream import Recording
 from tubeplan_viz.recording.viewer_program import ViewerError
 from tubeplan_viz.recording.web_viewer import WebViewer
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tubeplan_viz.result import Comparison
+
+
+def record_comparison(comparison: Comparison, path: Path) -> None:
+    """Write the recording of runs side by side.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written or does not read back.
+    """
+    from tubeplan_viz.recording.comparison import log_comparison
+
+    log_comparison(comparison, path)
+
 
 __all__ = [
     "RecordedIteration",
@@ -18,5 +41,6 @@ __all__ = [
     "WebViewer",
     "has_display",
     "read_recording",
+    "record_comparison",
     "show_native",
 ]

@@ -40,14 +40,7 @@ def grey(hu: Any, window: tuple[float, float]) -> Any:
 
 def log_surface(sink: Sink, surface: Surface, *, light: bool) -> None:
     """Wall, made light for a viewer, and the end caps in a colour of their own."""
-    budget = WALL_FACES_LIGHT if light else WALL_FACES
-    vertices, faces = _compact(surface.vertices, surface.wall_faces)
-    if len(faces) > budget:
-        points, triangles = fast_simplification.simplify(
-            vertices.astype(np.float32), faces.astype(np.int32), target_reduction=1.0 - budget / len(faces)
-        )
-        vertices, faces = np.asarray(points, dtype=float), np.asarray(triangles, dtype=np.int64)
-    sink.log(at.WALL, _mesh(vertices, faces, (*at.WALL_COLOR, 70)), static=True)
+    log_wall(sink, surface, light=light)
     caps = surface.faces[surface.face_cap >= 0]
     if len(caps):
         sink.log(at.CAPS, _mesh(*_compact(surface.vertices, caps), (*at.CAP_COLOR, 110)), static=True)
@@ -62,6 +55,18 @@ def log_surface(sink: Sink, surface: Surface, *, light: bool) -> None:
             ),
             static=True,
         )
+
+
+def log_wall(sink: Sink, surface: Surface, *, entity: str = at.WALL, light: bool = False) -> None:
+    """The wall without its caps, with no more triangles than a viewer turns smoothly."""
+    budget = WALL_FACES_LIGHT if light else WALL_FACES
+    vertices, faces = _compact(surface.vertices, surface.wall_faces)
+    if len(faces) > budget:
+        points, triangles = fast_simplification.simplify(
+            vertices.astype(np.float32), faces.astype(np.int32), target_reduction=1.0 - budget / len(faces)
+        )
+        vertices, faces = np.asarray(points, dtype=float), np.asarray(triangles, dtype=np.int64)
+    sink.log(entity, _mesh(vertices, faces, (*at.WALL_COLOR, 70)), static=True)
 
 
 def log_centerline(sink: Sink, centerline: Centerline, *, light: bool) -> None:

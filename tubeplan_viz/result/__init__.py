@@ -1,5 +1,6 @@
 """result.json and its schema, the run folder, exports, and the run as recording and report see it."""
 
+from tubeplan_viz.result.comparison import COMPARISON_FILES, ComparedRun, Comparison, compare_runs, read_runs
 from tubeplan_viz.result.document import Provenance, build_result, plain, result_text
 from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, path_csv, slicer_markups
@@ -8,18 +9,23 @@ from tubeplan_viz.result.review import Review
 from tubeplan_viz.result.schema import result_schema, validate_result
 
 __all__ = [
+    "COMPARISON_FILES",
     "CSV_COLUMNS",
+    "ComparedRun",
+    "Comparison",
     "Provenance",
     "ResultError",
     "Review",
     "RunFolder",
     "RunFolderError",
     "build_result",
+    "compare_runs",
     "file_sha256",
     "is_run",
     "path_csv",
     "plain",
     "read_result",
+    "read_runs",
     "result_schema",
     "result_text",
     "slicer_markups",

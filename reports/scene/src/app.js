@@ -1,20 +1,9 @@
 // Ties the parts of the report to one cursor: an index into the planned path. The page is complete without this
 // script; it adds the cursor, the turnable scene and the CT at any place.
 import { createVolume, greyTable, drawTile, drawReformation } from './slices.js';
-import { createScene } from './scene.js';
-import { createLabels } from './labels.js';
+import { $, all, css, dark, minus, mm, nearest, painters, turnable, unpack } from './page.js';
 
-const $ = (id) => document.getElementById(id);
-const all = (query) => [...document.querySelectorAll(query)];
-const minus = (text) => text.replace('-', '−');
-const mm = (v, n = 1) => `${minus(v.toFixed(n))}\u00a0mm`;
 const signed = (v, n) => (v >= 0 ? '+' : '') + minus(v.toFixed(n));
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
-async function unpack(text) {
-  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
-  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream('gzip'))).arrayBuffer();
-}
 
 const result = JSON.parse($('tubeplan-result').textContent);
 const extra = JSON.parse($('tubeplan-scene').textContent);
@@ -27,11 +16,7 @@ const allowed = result.limits?.curvature_max_per_mm ?? null;
 const count = points.length;
 const length = arc[count - 1] ?? 0;
 const partAt = (s) => extra.parts.find((p) => s >= p.from && s <= p.to)?.name ?? '';
-function indexAt(s) { // the sample nearest to an arc length
-  let low = 0, high = count - 1;
-  while (low < high) { const mid = (low + high) >> 1; if (arc[mid] < s) low = mid + 1; else high = mid; }
-  return low && s - arc[low - 1] < arc[low] - s ? low - 1 : low;
-}
+const indexAt = (s) => nearest(arc, s);
 
 // --- cursor ------------------------------------------------------------------------------
 const views = []; // functions of (index)
@@ -41,16 +26,6 @@ function setCursor(i) {
   now = Math.max(0, Math.min(count - 1, i));
   queued ||= requestAnimationFrame(() => { queued = 0; for (const view of views) view(now); });
 }
-
-// --- theme -------------------------------------------------------------------------------
-const painters = []; // functions called after the theme changes
-const dark = () => { const t = document.documentElement.dataset.theme; return t ? t === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches; };
-const repaint = () => { for (const paint of painters) paint(); };
-for (const radio of all('input[name=theme]')) radio.addEventListener('change', () => {
-  if (radio.value === 'auto') delete document.documentElement.dataset.theme; else document.documentElement.dataset.theme = radio.value;
-  repaint();
-});
-matchMedia('(prefers-color-scheme: dark)').addEventListener('change', repaint);
 
 // --- charts: drawn by the server, the cursor moves here -------------------------------------
 for (const svg of all('svg[data-chart]')) {
@@ -172,32 +147,14 @@ async function pictures() {
 
 // --- 3D ------------------------------------------------------------------------------------------
 async function space() {
-  const host = $('scene');
-  if (!host || !extra.view) return;
-  let mesh = null;
-  if (extra.mesh) {
-    const faces = await unpack(extra.mesh.faces);
-    mesh = { ...extra.mesh, vertices: new Uint16Array(await unpack(extra.mesh.vertices)), faces: extra.mesh.wide ? new Uint32Array(faces) : new Uint16Array(faces) };
-  }
-  if (!document.createElement('canvas').getContext('webgl2')) return; // the picture made with the report stays in place
-  let view3d;
-  const place = createLabels($('labels'), $('leaders'), extra.labels);
-  const onDraw = (project) => {
-    if (!view3d) return;
-    place((p) => project(view3d.vector(p)), host.clientWidth, host.clientHeight);
-    view3d.axes().forEach(([x, y], i) => {
-      const arm = $('gizmo').children[i];
-      arm.firstElementChild.setAttribute('x2', 28 + x * 16);
-      arm.firstElementChild.setAttribute('y2', 28 + y * 16);
-      arm.lastElementChild.setAttribute('x', 28 + x * 23);
-      arm.lastElementChild.setAttribute('y', 32 + y * 23);
-      arm.style.opacity = Math.hypot(x, y) < 0.4 ? 0 : 1; // an axis that points at the viewer has no direction
-    });
-  };
-  view3d = createScene(host, {
-    mesh, points, before: extra.before, stretches: extra.stretches, features: extra.features, view: extra.view, clearance: asked,
-  }, { onPick: setCursor, onDraw });
-  host.classList.add('live');
+  const view3d = await turnable(extra, {
+    points, before: extra.before, stretches: extra.stretches, features: extra.features, clearance: asked,
+  }, {
+    onPick: setCursor,
+    step: (way) => setCursor(now + 4 * way),
+    label: '3D scene: wall of the lumen, planned path, flagged parts. Arrow keys turn, plus and minus zoom, comma and full stop step along the path, 0 resets.',
+  });
+  if (!view3d) return;
   const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
   const paint = () => {
     const tight = rgb(css('--tight')), roomy = rgb(css('--roomy'));
@@ -210,35 +167,9 @@ async function space() {
   paint();
   views.push((i) => view3d.setCursor(i));
   globalThis.tubeplanCursor = () => view3d.cursorOnScreen();
-  const { canvas } = view3d;
-  canvas.tabIndex = 0;
-  canvas.setAttribute('role', 'application');
-  canvas.setAttribute('aria-label', '3D scene: wall of the lumen, planned path, flagged parts. Arrow keys turn, plus and minus zoom, comma and full stop step along the path, 0 resets.');
-  canvas.addEventListener('focus', () => view3d.focus(true));
-  canvas.addEventListener('blur', () => view3d.focus(false));
-  const keys = {
-    ArrowLeft: () => view3d.turn(0.12, 0), ArrowRight: () => view3d.turn(-0.12, 0), ArrowUp: () => view3d.turn(0, -0.1), ArrowDown: () => view3d.turn(0, 0.1),
-    '+': () => view3d.turn(0, 0, 0.9), '=': () => view3d.turn(0, 0, 0.9), '-': () => view3d.turn(0, 0, 1.1), 0: () => view3d.view('front'),
-    ',': () => setCursor(now - 4), '.': () => setCursor(now + 4),
-  };
-  canvas.addEventListener('keydown', (event) => { if (keys[event.key]) { keys[event.key](); event.preventDefault(); } });
-  for (const button of all('[data-view]')) button.addEventListener('click', () => view3d.view(button.dataset.view));
   for (const check of all('[data-show]')) { check.addEventListener('change', () => view3d.show(check.dataset.show, check.checked)); view3d.show(check.dataset.show, check.checked); }
-
-  const stage = $('stage'), larger = $('larger');
-  const enlarged = (on) => { stage.classList.toggle('large', on); view3d.enlarge(on); larger.textContent = on ? 'Smaller' : 'Larger'; larger.setAttribute('aria-pressed', String(on)); };
-  larger.addEventListener('click', () => {
-    const on = !stage.classList.contains('large');
-    enlarged(on);
-    if (on) stage.requestFullscreen?.().catch(() => {}); // without it the scene still fills the window
-    else if (document.fullscreenElement) document.exitFullscreen();
-  });
-  document.addEventListener('fullscreenchange', () => { if (!document.fullscreenElement) enlarged(false); });
-  addEventListener('keydown', (event) => { if (event.key === 'Escape') enlarged(false); });
 }
 
 // --- start ----------------------------------------------------------------------------------------
-addEventListener('beforeprint', () => { for (const fold of all('details')) { fold.dataset.was = fold.open; fold.open = true; } });
-addEventListener('afterprint', () => { for (const fold of all('details')) fold.open = fold.dataset.was === 'true'; });
 document.documentElement.classList.add('script');
 Promise.all([space(), pictures()]).then(() => { if (count > 1) setCursor(now); globalThis.tubeplanReady = true; });

@@ -77,12 +77,13 @@ export function createScene(host, model, { onPick, onDraw }) {
   scene.add(new HemisphereLight('#fff', '#778', 2.2), sun);
 
   const points = model.points.map((p) => new Vector3(...p));
+  const others = (model.others ?? []).map((other) => ({ points: other.map((p) => new Vector3(...p)) })); // paths laid side by side
   const skin = model.mesh ? wall(model.mesh) : null;
   if (skin) scene.add(skin.back, skin.front);
   const cloud = model.mesh ? Array.from({ length: Math.min(4000, model.mesh.vertices.length / 3) }, (_, k) => {
     const at = Math.floor((k * model.mesh.vertices.length) / 3 / Math.min(4000, model.mesh.vertices.length / 3)) * 3;
     return new Vector3(...[0, 1, 2].map((a) => model.mesh.low[a] + (model.mesh.vertices[at + a] / 65535) * (model.mesh.high[a] - model.mesh.low[a])));
-  }) : points;
+  }) : points.length ? points : others.flatMap((other) => other.points);
   const middle = (way) => { let a = Infinity, b = -Infinity; for (const p of cloud) { const d = p.dot(way); a = Math.min(a, d); b = Math.max(b, d); } return [(a + b) / 2, b - a]; };
   const ahead = new Vector3().crossVectors(right, up); // toward the viewer, square to up
   const extent = { right: middle(right), up: middle(up), ahead: middle(ahead) };
@@ -122,6 +123,13 @@ export function createScene(host, model, { onPick, onDraw }) {
   dot.renderOrder = 9;
   cursor.add(halo, dot);
   cursor.visible = points.length > 1;
+  for (const other of others) {
+    other.line = new Mesh(tube(thinned(other.points), thick * 0.8), new MeshBasicMaterial());
+    other.line.renderOrder = 2;
+    other.mark = new Mesh(new SphereGeometry(thick * 2.2, 24, 16), new MeshBasicMaterial({ depthTest: false, transparent: true }));
+    other.mark.renderOrder = 8;
+    scene.add(other.line, other.mark);
+  }
   scene.add(line, early, ...flags, features, cursor);
 
   const controls = new OrbitControls(camera, canvas);
@@ -190,6 +198,7 @@ export function createScene(host, model, { onPick, onDraw }) {
     for (const f of flags) f.material.color.set(f.userData.kind === 'clearance' ? theme.flagClearance : theme.flagCurvature);
     for (const m of features.children) m.material.color.set(theme.feature);
     early.material?.color.set(theme.before);
+    others.forEach((other, k) => { other.line.material.color.set(theme.runs[k]); other.mark.material.color.set(theme.runs[k]); });
     dot.material.color.set(theme.surface);
     halo.material.color.set(theme.cursor);
     ask();
@@ -202,12 +211,15 @@ export function createScene(host, model, { onPick, onDraw }) {
     if (!free) return;
     let best = 16;
     let at = -1;
-    for (let i = 0; i < points.length; i += 2) {
-      const [x, y] = project(points[i]);
-      const d = Math.hypot(x - event.offsetX, y - event.offsetY);
-      if (d < best) { best = d; at = i; }
-    }
-    if (at >= 0) onPick(at);
+    let of = -1;
+    [points, ...others.map((other) => other.points)].forEach((line, k) => {
+      for (let i = 0; i < line.length; i += 2) {
+        const [x, y] = project(line[i]);
+        const d = Math.hypot(x - event.offsetX, y - event.offsetY);
+        if (d < best) { best = d; at = i; of = k - 1; }
+      }
+    });
+    if (at >= 0) onPick(at, of);
   });
   new ResizeObserver(resize).observe(host);
   resize();
@@ -221,8 +233,10 @@ export function createScene(host, model, { onPick, onDraw }) {
       return [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((a) => { const v = new Vector3(...a).applyQuaternion(q); return [v.x, -v.y, v.z]; });
     },
     setCursor(i) { if (points[i]) cursor.position.copy(points[i]); ask(); },
+    setMark(k, i) { others[k].mark.position.copy(others[k].points[i]); ask(); },
     cursorOnScreen() { return project(cursor.position); },
     show(what, on) { ({ before: early, features })[what].visible = on; ask(); },
+    showOther(k, on) { others[k].line.visible = on; others[k].mark.visible = on; ask(); },
     vector: (p) => new Vector3(...p),
   };
 }
