@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -65,10 +66,7 @@ def posed(model: Model, limits: Limits) -> TubeProblem:
 def solve(problem: TubeProblem) -> Solved:
     """Solve and prove."""
     begun = time.perf_counter()
-    last = None
-    for last in tube_rounds(problem):
-        pass
-    assert last is not None
+    last = deque(tube_rounds(problem), maxlen=1)[0]
     certificate = certify(last.curve, problem.wall, problem.limits)
     return Solved(certificate=certificate, seconds=time.perf_counter() - begun)
 
