@@ -1,14 +1,24 @@
-"""Results to HTML: one self-contained page per run, and one for runs side by side."""
+"""Results to HTML: one self-contained page per run, one for runs side by side, one for instruments and targets."""
 
 from reports.derived import DERIVED, derived_values
-from reports.render import ReportError, render_comparison, render_report, write_comparison, write_report
+from reports.render import (
+    ReportError,
+    render_comparison,
+    render_matrix,
+    render_report,
+    write_comparison,
+    write_matrix,
+    write_report,
+)
 
 __all__ = [
     "DERIVED",
     "ReportError",
     "derived_values",
     "render_comparison",
+    "render_matrix",
     "render_report",
     "write_comparison",
+    "write_matrix",
     "write_report",
 ]

@@ -16,8 +16,10 @@ import jinja2
 from markupsafe import Markup
 
 from reports.comparison import make_comparison_page
+from reports.matrix import make_matrix_page
 from reports.views import make_page
 from segmentation.errors import TubeplanError
+from segmentation.mesh import Surface
 from tubeplan_viz.result import Comparison, Review
 
 
@@ -114,6 +116,35 @@ def render_comparison(comparison: Comparison) -> str:
         compare_json=embedded(page.document),
         scene_json=embedded(page.scene),
     )
+
+
+def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
+    """The page of instruments against targets as HTML, from the content of matrix.json; it needs no script.
+
+    Raises
+    ------
+    ReportError
+        If the document holds numbers that are not finite.
+    """
+    page = make_matrix_page(document, surface)
+    return _filled(
+        "matrix.html.j2",
+        script="",
+        style=_style() + _part("templates", "matrix.css"),
+        page=page,
+        matrix_json=embedded(page.document),
+    )
+
+
+def write_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> None:
+    """Write the page of instruments against targets; readable by its owner only, on the disk when this returns.
+
+    Raises
+    ------
+    ReportError
+        If the file cannot be written.
+    """
+    _write(render_matrix(document, surface), path)
 
 
 def _style() -> str:

@@ -1,6 +1,7 @@
 """Flexible instruments: their catalogue, their rigid tips, and which of them reaches which target."""
 
 from tubeplan_viz.instruments.catalogue import CatalogueError, Instrument, make_catalogue, read_catalogue
+from tubeplan_viz.instruments.document import MatrixError, matrix_schema, validate_matrix
 from tubeplan_viz.instruments.matrix import Matrix, find_targets, instrument_matrix
 from tubeplan_viz.instruments.reach import Cell, ReachSettings, Target, Verdict, Witness
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
@@ -10,6 +11,7 @@ __all__ = [
     "Cell",
     "Instrument",
     "Matrix",
+    "MatrixError",
     "ReachSettings",
     "Target",
     "TipClearance",
@@ -18,6 +20,8 @@ __all__ = [
     "find_targets",
     "instrument_matrix",
     "make_catalogue",
+    "matrix_schema",
     "read_catalogue",
     "tip_clearance",
+    "validate_matrix",
 ]

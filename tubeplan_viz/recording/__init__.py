@@ -14,8 +14,11 @@ from tubeplan_viz.recording.viewer_program import ViewerError
 from tubeplan_viz.recording.web_viewer import WebViewer
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
+    from typing import Any
 
+    from segmentation.mesh import Surface
     from tubeplan_viz.result import Comparison
 
 
@@ -32,6 +35,19 @@ def record_comparison(comparison: Comparison, path: Path) -> None:
     log_comparison(comparison, path)
 
 
+def record_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> None:
+    """Write the recording of instruments against targets, from the content of matrix.json.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written or does not read back.
+    """
+    from tubeplan_viz.recording.matrix import log_matrix
+
+    log_matrix(document, surface, path)
+
+
 __all__ = [
     "RecordedIteration",
     "RecordedPath",
@@ -42,5 +58,6 @@ __all__ = [
     "has_display",
     "read_recording",
     "record_comparison",
+    "record_matrix",
     "show_native",
 ]

@@ -1,0 +1,89 @@
+"""tubeplan matrix: which instrument reaches which target."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from segmentation.errors import CaseError
+from tubeplan_viz.case import make_case
+from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet, case_options
+from tubeplan_viz.cli.show import EXIT_STATUS, progress
+from tubeplan_viz.instruments import read_catalogue
+from tubeplan_viz.matrix import run_matrix
+
+SIGNS = {"feasible": "holds", "flagged": "flag", "impossible": "no"}
+
+
+@case_options
+def matrix(
+    *,
+    given: dict[str, dict[str, Any]],
+    goals: Annotated[str, typer.Option("--goals", help="Labels of `tubeplan endpoints`, comma-separated, or all.")] = "all",
+    catalogue: Annotated[Path | None, typer.Option("--catalogue", help="TOML file of instruments [typical ones].")] = None,
+    before_start: Annotated[
+        float, typer.Option("--before-start", help="Instrument used up before the start, mm.")
+    ] = 0.0,
+    output: Output = Path("matrix"),
+    force: Force = False,
+    no_recording: NoRecording = False,
+    no_report: NoReport = False,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Judge every instrument of a catalogue for every target: holds, flagged, or proved impossible.
+
+    Example: tubeplan matrix --mesh ureter.stl --start E1 --goals E2,E3,E4 -o matrix
+    """
+    for key in ("curvature_max", "clearance_min"):
+        if key in given.get("limits", {}):
+            raise CaseError(f"--{key.replace('_', '-')} does not apply here: limits come from the catalogue; leave it out")
+    if "goal" in given.get("planner", {}):
+        raise CaseError("--goal does not apply here; give --goals with labels, comma-separated")
+    planner = {"name": "tube", "method": "optimal", **given.get("planner", {})}
+    case = make_case({**given, "planner": planner}, name="options")
+    instruments = read_catalogue(catalogue)
+    with progress(quiet or json) as notify:
+        document = run_matrix(
+            case,
+            output,
+            goals=[part for part in goals.split(",") if part.strip()],
+            instruments=instruments,
+            before_start_mm=before_start,
+            force=force,
+            recording=not no_recording,
+            report=not no_report,
+            notify=notify,
+        )
+    if json:
+        keys = ("status", "counts", "instruments", "targets", "cells", "timings_s")
+        files = sorted(entry.name for entry in output.iterdir())
+        typer.echo(json_text.dumps({**{key: document[key] for key in keys}, "folder": str(output), "files": files}))
+    else:
+        show(document, output)
+    raise typer.Exit(EXIT_STATUS[document["status"]])
+
+
+def show(document: Mapping[str, Any], folder: Path) -> None:
+    """The table on standard output: verdict and worst margin in mm of each cell."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("instrument")
+    table.add_column("diameter, bend mm")
+    for target in document["targets"]:
+        table.add_column(target["label"], justify="right")
+    for one, row in zip(document["instruments"], document["cells"], strict=True):
+        cells = [SIGNS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f}") for cell in row]
+        table.add_row(one["name"], f"{one['outer_diameter_mm']:.2f}, {one['bend_radius_min_mm']:g}", *cells)
+    wide = 60 + 13 * len(document["targets"])
+    Console(width=None if Console().is_terminal else wide).print(table)
+    counts = document["counts"]
+    typer.echo(f"{counts['feasible']} hold, {counts['flagged']} flagged, {counts['impossible']} proved impossible; margins in mm")
+    for name in ("report.html", "recording.rrd"):
+        if (folder / name).exists():
+            typer.echo(str(folder / name))

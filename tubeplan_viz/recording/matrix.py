@@ -1,0 +1,136 @@
+"""Instruments against targets as one recording: the tree of paths per instrument on the timeline ``instrument``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from segmentation.mesh import Surface
+from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.anatomy import log_surface
+from tubeplan_viz.recording.blueprint import BACKGROUND, scene_axes, viewpoint
+from tubeplan_viz.recording.sink import Sink
+
+INSTRUMENT = "instrument"
+TREE = "/case/instruments"
+# Bluish green, orange and reddish purple (Okabe and Ito): told apart with any colour vision, and named in the table.
+COLORS: dict[str, at.Color] = {"feasible": (0, 158, 115), "flagged": (230, 159, 0), "impossible": (204, 121, 167)}
+SIGNS = {"feasible": "holds", "flagged": "flagged", "impossible": "impossible"}
+
+
+def log_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> None:
+    """Write the recording of a matrix.
+
+    Parameters
+    ----------
+    document : mapping
+        The content of matrix.json.
+    surface : Surface
+    path : Path
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written or does not read back.
+    """
+    sink = Sink(path, case_id=str(document["case_id"]), connect=None)
+    try:
+        sink.log("/case", scene_axes(str(document["frame"])), static=True)
+        log_surface(sink, surface, light=False)
+        for number, (one, row) in enumerate(zip(document["instruments"], document["cells"], strict=True)):
+            sink.at(INSTRUMENT, number)
+            log_row(sink, document, row)
+            words = rr.TextDocument(told(document, one, row), media_type=rr.MediaType.MARKDOWN)
+            sink.log("/case/instrument", words)
+        sink.log("/case/table", rr.TextDocument(table(document), media_type=rr.MediaType.MARKDOWN), static=True)
+        sink.flush()
+        sink.publish(layout(document))
+    except BaseException:
+        sink.discard()
+        raise
+
+
+def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> None:
+    """The paths of one instrument, and its targets, coloured by verdict."""
+    colors = [COLORS[cell["verdict"]] for cell in row]
+    lines, line_colors = [], []
+    for paths, cell, color in zip(document["paths"], row, colors, strict=True):
+        if cell["path"] is not None:
+            lines.append(np.asarray(paths[cell["path"]]["points_mm"], float))
+            line_colors.append(color)
+    sink.log(f"{TREE}/paths", rr.LineStrips3D(lines, colors=line_colors, radii=rr.Radius.ui_points(2.5)))
+    labels = [
+        f"{target['label']}: {SIGNS[cell['verdict']]}" + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f} mm")
+        for target, cell in zip(document["targets"], row, strict=True)
+    ]
+    points = [target["point_mm"] for target in document["targets"]]
+    sink.log(
+        f"{TREE}/targets", rr.Points3D(points, colors=colors, radii=rr.Radius.ui_points(6.0), labels=labels, show_labels=True)
+    )
+    worst = [
+        (cell["margin_point_mm"], color)
+        for cell, color in zip(row, colors, strict=True)
+        if cell["verdict"] != "feasible" and cell["margin_point_mm"] is not None
+    ]
+    sink.log(
+        f"{TREE}/worst",
+        rr.Points3D([point for point, _ in worst], colors=[color for _, color in worst], radii=rr.Radius.ui_points(4.0)),
+    )
+
+
+def told(document: Mapping[str, Any], one: Mapping[str, Any], row: list[Mapping[str, Any]]) -> str:
+    """One instrument and what holds or hinders it, as markdown."""
+    head = (
+        f"## {one['name']}\n\ndiameter {one['outer_diameter_mm']:g} mm, bend radius {one['bend_radius_min_mm']:g} mm, "
+        f"rigid tip {one['rigid_tip_mm']:g} mm, working length {one['working_length_mm']:g} mm\n\n"
+    )
+    lines = [
+        f"* **{target['label']}**: {SIGNS[cell['verdict']]}; {cell['reason']}"
+        for target, cell in zip(document["targets"], row, strict=True)
+    ]
+    return head + "\n".join(lines)
+
+
+def table(document: Mapping[str, Any]) -> str:
+    """All cells as markdown."""
+    labels = [target["label"] for target in document["targets"]]
+    lines = ["## Instruments and targets", "| # | instrument | " + " | ".join(labels) + " |", "|--|--|" + "--|" * len(labels)]
+    for number, (one, row) in enumerate(zip(document["instruments"], document["cells"], strict=True)):
+        cells = [SIGNS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f}") for cell in row]
+        lines.append(f"| {number} | {one['name']} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + f"\n\nMargins in mm. {document['rule']}\n\n*{at.NOTICE}*"
+
+
+def layout(document: Mapping[str, Any]) -> rrb.Blueprint:
+    """The tree beside the table; the timeline steps through the instruments."""
+    seen = np.array([document["start_mm"], *(target["point_mm"] for target in document["targets"])], float)
+    view = viewpoint(seen, str(document["frame"]), radius=8.0)
+    scene = rrb.Spatial3DView(
+        origin="/case",
+        name="Paths of one instrument; step through the timeline `instrument`",
+        contents=["$origin/**"],
+        background=rrb.Background(color=BACKGROUND),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=view.position, look_target=view.target, eye_up=view.up
+        ),
+    )
+    words = rrb.Vertical(
+        rrb.TextDocumentView(origin="/case/table", name=f"All cells ({at.NOTICE.lower().rstrip('.')})"),
+        rrb.TextDocumentView(origin="/case/instrument", name="This instrument"),
+        row_shares=[1, 1],
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(scene, words, column_shares=[1, 1]),
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=INSTRUMENT, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
