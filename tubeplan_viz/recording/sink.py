@@ -149,6 +149,9 @@ class Sink:
 
     def discard(self) -> None:
         """Leave nothing behind."""
+        if self._streams:
+            # Taken out and dropped here, since rerun itself warns on standard error when it drops data.
+            self._bytes.read(flush=True)
         self._disconnect()
         self._close()
         self._partial.unlink(missing_ok=True)
