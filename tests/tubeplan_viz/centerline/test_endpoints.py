@@ -77,7 +77,8 @@ def test_labels_move_along_with_a_rigid_motion(prepared: Prepare) -> None:
         assert tip.radius == pytest.approx(still[cap].radius, abs=5e-3)
     # The children are equally long, so the order of their labels may swap; the lengths may not.
     lengths = [sorted(tip.branch_length for tip in tips.values()) for tips in (still, gone)]
-    np.testing.assert_allclose(lengths[0], lengths[1], atol=0.5)
+    # The tree's edges follow the diagram's vertices, which differ with the jitter: 1 mm in 45.
+    np.testing.assert_allclose(lengths[0], lengths[1], atol=1.0)
 
 
 def test_tips_without_caps_keep_off_the_very_end_and_lie_inside(prepared: Prepare) -> None:

@@ -218,7 +218,8 @@ def test_every_iteration_of_the_recording_is_that_of_the_result(whole_run: Path)
     result = json.loads((whole_run / "result.json").read_text())
     recorded = read_recording(whole_run / "recording.rrd")
     assert [step.index for step in recorded.iterations] == [step["index"] for step in result["iterations"]]
-    assert len(recorded.iterations) == 5
+    # Four rounds after the first spline, and perhaps a step back to the best of them.
+    assert len(recorded.iterations) in (5, 6)
     for step, written in zip(recorded.iterations, result["iterations"], strict=True):
         assert len(step.features) == step.facts["features"] == written["feature_count"]
         assert step.facts["curvature_max_per_mm"] == written["curvature_max_per_mm"]

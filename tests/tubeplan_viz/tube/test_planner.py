@@ -72,9 +72,10 @@ def test_cylinder_2_is_flagged_exactly_where_its_cones_are_too_narrow() -> None:
     assert plan.status is PlanStatus.FLAGGED
     assert not plan.certificate.holds
     assert [flag.kind for flag in plan.flagged] == [FlagKind.CLEARANCE] * 2
-    # Asked for: 0.5 mm. The path leaves the axis by 0.02 mm on average, the mesh the cone by its sagitta.
+    # Asked for: 0.5 mm. Between its features the path lies up to 0.1 mm off the axis, and the clearance
+    # changes by 0.45 mm per mm of arc length there.
     found = [(flag.start, flag.end) for flag in plan.flagged]
-    np.testing.assert_allclose(found, truth, atol=0.1)
+    np.testing.assert_allclose(found, truth, atol=0.3)
     # Cut where the radius is 2 mm: the rim is 2 mm away from the start.
     assert [flag.worst for flag in plan.flagged] == pytest.approx([2.0, 2.0], abs=0.02)
     assert "clearance falls to 2.00 mm" in str(plan.reason)
