@@ -11,7 +11,7 @@ from typer.exceptions import TyperException
 
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
-from tubeplan_viz.cli import bench, compare, demo, endpoints, inspect, plan, run, segment, verify, view
+from tubeplan_viz.cli import bench, compare, demo, endpoints, init, inspect, matrix, plan, run, segment, verify, view
 from tubeplan_viz.plan import NoPathError
 
 OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
@@ -30,6 +30,7 @@ app.add_typer(plans, name="plan")
 plans.command("tube")(plan.tube)
 for name, command in (
     ("demo", demo.demo),
+    ("init", init.init),
     ("run", run.run),
     ("inspect", inspect.inspect),
     ("segment", segment.segment),
@@ -37,6 +38,7 @@ for name, command in (
     ("verify", verify.verify),
     ("compare", compare.compare),
     ("view", view.view),
+    ("matrix", matrix.matrix),
     ("bench", bench.bench),
 ):
     app.command(name)(command)
@@ -72,6 +74,8 @@ def status_of(arguments: Sequence[str] | None = None) -> int:
         outcome = typer.main.get_command(app).main(
             args=None if arguments is None else list(arguments), prog_name="tubeplan", standalone_mode=False
         )
+        if outcome == INTERRUPTED:  # typer turns Ctrl-C into this status and says nothing
+            complain("interrupted; nothing was written")
         return outcome if isinstance(outcome, int) else OK
     except TyperException as fault:
         usage_fault(fault)

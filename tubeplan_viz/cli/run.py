@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from tubeplan_viz.case import make_case, read_table
+from tubeplan_viz.case_lines import naming_lines
 from tubeplan_viz.cli.options import Connect, Force, Json, NoRecording, NoReport, Output, Quiet, case_options, merged
 from tubeplan_viz.cli.show import progress, report_plan
 from tubeplan_viz.pipeline import run_case
@@ -31,7 +32,9 @@ def run(
 
     Example: tubeplan run case.toml --clearance-min 1.5 -o run
     """
-    case = make_case(merged(read_table(case_file), given), folder=case_file.resolve().parent, name=case_file.name)
+    table = read_table(case_file)
+    with naming_lines(case_file, given):
+        case = make_case(merged(table, given), folder=case_file.resolve().parent, name=case_file.name)
     with progress(quiet) as notify:
         result = run_case(
             case,
