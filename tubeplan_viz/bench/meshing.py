@@ -20,6 +20,11 @@ Radius = Callable[[FloatArray], FloatArray]
 RIM_COSINE = 0.6
 
 
+def constant_radius(radius: float) -> Radius:
+    """The same radius in mm at every arc length."""
+    return lambda s: np.full(np.shape(s), radius)
+
+
 def sweep(
     axis: Axis, radius: Radius, *, edge: float, twisted: bool, rng: np.random.Generator, sites: FloatArray | None = None
 ) -> Surface:

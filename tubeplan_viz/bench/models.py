@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from segmentation.arrays import FloatArray, frozen_array
 from segmentation.mesh import Surface
 from tubeplan_viz.bench.axes import Axis, planar_axis
-from tubeplan_viz.bench.meshing import Radius, marching_surface, sweep
+from tubeplan_viz.bench.meshing import Radius, constant_radius, marching_surface, sweep
 
 Meshing = Literal["swept", "structured", "marching_cubes"]
 
@@ -120,7 +120,7 @@ def bent_cylinder_1(
     .. [1] Dai et al. (2024). J. Tianjin Univ. 57(10), 1010-1021, section 3.
     """
     pieces = [(0.5 * np.pi * bend, (-1.0) ** (i + 1) / bend) for i, bend in enumerate(bend_radii)]
-    return _tube(name, planar_axis(pieces), _constant(radius), meshing, noise, rng)
+    return _tube(name, planar_axis(pieces), constant_radius(radius), meshing, noise, rng)
 
 
 def variant_1(*, meshing: Meshing = "swept", noise: float = 0.0, rng: np.random.Generator | None = None) -> Model:
@@ -187,7 +187,7 @@ def straight_tube(
     rng: np.random.Generator | None = None,
 ) -> Model:
     """A cylinder along +y from the origin."""
-    return _tube("straight tube", planar_axis([(length, 0.0)]), _constant(radius), meshing, noise, rng)
+    return _tube("straight tube", planar_axis([(length, 0.0)]), constant_radius(radius), meshing, noise, rng)
 
 
 def torus_piece(
@@ -200,7 +200,9 @@ def torus_piece(
     rng: np.random.Generator | None = None,
 ) -> Model:
     """A piece of a torus: axis of constant curvature over `angle` radians, turning left from +y."""
-    return _tube("torus piece", planar_axis([(bend_radius * angle, 1.0 / bend_radius)]), _constant(radius), meshing, noise, rng)
+    return _tube(
+        "torus piece", planar_axis([(bend_radius * angle, 1.0 / bend_radius)]), constant_radius(radius), meshing, noise, rng
+    )
 
 
 def helix_tube(
@@ -215,7 +217,7 @@ def helix_tube(
 ) -> Model:
     """A tube around a helix of the given constant curvature and torsion, 1/mm."""
     axis = Axis(((length, curvature, torsion),), np.zeros(3), np.eye(3))
-    return _tube("helix tube", axis, _constant(radius), meshing, noise, rng)
+    return _tube("helix tube", axis, constant_radius(radius), meshing, noise, rng)
 
 
 def narrow_neck(
@@ -261,9 +263,9 @@ def y_junction(
     left = planar_axis([(child, 0.0)], start=joint, heading=0.5 * np.pi + half_angle)
     right = planar_axis([(child, 0.0)], start=joint, heading=0.5 * np.pi - half_angle)
     tubes = [
-        (trunk, _constant(radius), (True, False)),
-        (left, _constant(child_radius), (False, True)),
-        (right, _constant(child_radius), (False, True)),
+        (trunk, constant_radius(radius), (True, False)),
+        (left, constant_radius(child_radius), (False, True)),
+        (right, constant_radius(child_radius), (False, True)),
     ]
     surface = marching_surface(tubes, voxel=voxel)
     s = np.linspace(0.0, parent + child, int(np.ceil((parent + child) / AXIS_STEP)) + 1)
@@ -280,10 +282,6 @@ def y_junction(
         curvature=0.0 * s,
         branches=(other,),
     )
-
-
-def _constant(radius: float) -> Radius:
-    return lambda s: np.full(np.shape(s), radius)
 
 
 def _tube(

@@ -15,8 +15,8 @@ from segmentation.arrays import FloatArray, IntArray
 from segmentation.mesh import Surface
 
 # Cell of the grid over the radius of the lumen beside it. Cells leave gaps of up to two cells between
-# neighbours; a ball of radius R bulges by R/12 through a gap of 0.8 R.
-SHARE = 0.4
+# neighbours; a ball of radius R bulges by R/7 through a gap of R, at worst.
+SHARE = 0.5
 # The test ball is this much smaller than the one it stands for, since normals of stair meshes lean by up to 30 degrees.
 SLACK = 0.8
 LEVEL = 2.0**0.5

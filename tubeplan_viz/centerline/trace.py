@@ -164,14 +164,15 @@ def middle_line(chain: Chain, wall: WallDistance, settings: CenterlineSettings) 
     """Smooth points, half a step apart, along the middle of the lumen beside a chain; the ends stay where they are."""
     fine = 0.5 * settings.step
     s = polyline_length(chain.points)
-    line = even_points(chain.points, fine)
-    radii = np.interp(np.linspace(0.0, s[-1], len(line)), s, chain.radii)
-    line = smoothed(line, 0.5 * settings.smoothing, fine)
+    raw = even_points(chain.points, fine)
+    radii = np.interp(np.linspace(0.0, s[-1], len(raw)), s, chain.radii)
+    line = smoothed(raw, 0.5 * settings.smoothing, fine)
     # Start and goal may lie off the middle, and the line takes a sphere's radius to get there.
     s = polyline_length(line)
     onset = np.minimum(1.0, s / chain.radii[0]) * np.minimum(1.0, (s[-1] - s) / chain.radii[-1])
-    first, found = to_ridge(line, wall, radii=radii, reach=REACH * onset * radii)
-    again = np.where(np.linalg.norm(first - line, axis=1) > SETTLED * radii, 0.25 * REACH * onset * radii, 0.0)
+    reach = onset * (REACH * radii + np.linalg.norm(line - raw, axis=1))
+    first, found = to_ridge(line, wall, radii=radii, reach=reach)
+    again = np.where(np.linalg.norm(first - line, axis=1) > SETTLED * radii, 0.25 * reach, 0.0)
     line, radii = to_ridge(first, wall, radii=found, reach=again)
     smooth = smoothed(line, settings.smoothing, fine)
     # A fit may cut a corner of a tight lumen: keep it only where it stays as clear of the wall. A
