@@ -145,6 +145,57 @@ def test_runs_of_one_mesh_are_overlaid_and_runs_of_two_are_not(comparison: Compa
     assert len(apart.document["rows"]) == len(comparison.document["rows"])
 
 
+def test_a_needle_among_no_obstacles_is_compared_without_clearance(comparison: Comparison, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    from rerun.chunk import RrdReader
+
+    first, second = comparison.runs
+    bare = {
+        **second.result,
+        "path": {**second.result["path"], "clearance_mm": None},
+        "metrics": {**second.result["metrics"], "clearance_min_mm": None, "clearance_mean_mm": None},
+        "certificate": None,
+        "flagged_intervals": [],
+        "status": "ok",
+        "reason": None,
+    }
+    both = compare_runs([first, replace(second, result=bare)])
+    rows = {row["key"]: row for row in both.document["rows"]}
+    assert rows["metrics.clearance_min_mm"]["values"][1] is None
+    assert rows["metrics.clearance_min_mm"]["best"] == []
+    assert "–" in render_comparison(both)
+    record_comparison(both, tmp_path / "recording.rrd")
+    entities = {chunk.entity_path for chunk in RrdReader(tmp_path / "recording.rrd").stream()}
+    assert "/profiles/clearance/A" in entities
+    assert "/profiles/clearance/B" not in entities
+    assert "/profiles/curvature/B" in entities
+
+
+def test_a_run_without_a_path_is_compared_and_not_drawn(comparison: Comparison, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    first, second = comparison.runs
+    none = {
+        **second.result,
+        "path": None,
+        "spline": None,
+        "metrics": dict.fromkeys(second.result["metrics"]),
+        "certificate": None,
+        "flagged_intervals": [],
+        "status": "infeasible",
+        "reason": "start and goal are not joined",
+    }
+    both = compare_runs([first, replace(second, result=none)])
+    assert "B has no path" in " ".join(both.document["notes"])
+    page = render_comparison(both)
+    assert "A holds, B finds no path" in page
+    assert 'data-at="0"' in page
+    assert 'data-at="1"' not in page
+    record_comparison(both, tmp_path / "recording.rrd")
+    assert (tmp_path / "recording.rrd").exists()
+
+
 def test_charts_share_one_scale_and_each_curve_ends_at_its_own_length(comparison: Comparison) -> None:
     from reports.overlay import Line, Overlay, overlay_chart
     from reports.svg import LEFT, RIGHT, WIDTHS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray, IntArray
-from tubeplan_viz.plan import FlagKind, Limits
+from tubeplan_viz.plan import FlagKind
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.anatomy import log_wall
 from tubeplan_viz.recording.blueprint import BACKGROUND, PLAY_FPS, scene_axes, viewpoint
@@ -73,7 +73,9 @@ def _log_run(sink: Sink, run: ComparedRun, color: at.Color, others: Sequence[Com
     path = run.result.get("path")
     if not path or len(path["s_mm"]) < 2:
         return
-    track = result_track(path)
+    # A needle among no obstacles has no clearance.
+    blind = path["clearance_mm"] is None
+    track = result_track({**path, "clearance_mm": np.full(len(path["s_mm"]), np.nan)} if blind else path)
     drawn = track.thinned(CURVE_SPACING_MM)
     sink.log(
         f"{root}/path",
@@ -89,7 +91,9 @@ def _log_run(sink: Sink, run: ComparedRun, color: at.Color, others: Sequence[Com
     )
     _log_flags(sink, run, track, root)
     limits = run.result["limits"]
-    asked = Limits(curvature_max=limits["curvature_max_per_mm"], clearance_min=limits["clearance_min_mm"])
+    asked = {FlagKind.CURVATURE: limits["curvature_max_per_mm"]} | (
+        {} if blind else {FlagKind.CLEARANCE: limits["clearance_min_mm"]}
+    )
     length = float(track.arc_length[-1])
     ticks = np.unique(np.append(np.arange(0.0, length, STEP_MM), length))
     shares = np.linspace(0.0, 1.0, SHARE_TICKS // 4 + 1)
@@ -101,12 +105,18 @@ def _log_run(sink: Sink, run: ComparedRun, color: at.Color, others: Sequence[Com
 
 
 def _log_profile(
-    sink: Sink, label: str, track: Track, asked: Limits, color: at.Color, timeline: str, places: FloatArray, ticks: IntArray
+    sink: Sink,
+    label: str,
+    track: Track,
+    asked: Mapping[FlagKind, float],
+    color: at.Color,
+    timeline: str,
+    places: FloatArray,
+    ticks: IntArray,
 ) -> None:
     """Values, limits and the marker of one run at (k,) arc lengths, as rows of a timeline."""
-    for kind in FlagKind:
+    for kind, limit in asked.items():
         entity = f"{PROFILES}/{kind.value}/{label}"
-        limit = asked.curvature_max if kind is FlagKind.CURVATURE else asked.clearance_min
         for name, values, width in (
             (label, np.interp(places, track.arc_length, track.values(kind)), 2.0),
             (f"{label} limit", np.full(len(places), limit), 0.8),

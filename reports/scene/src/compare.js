@@ -66,7 +66,7 @@ if (slider) {
       const cells = [...document.querySelectorAll(`[data-at="${k}"] td`)];
       if (!reached(k)) { cells.forEach((cell) => { cell.textContent = '–'; }); return; }
       const i = nearest(paths[k].s_mm, placeOf(k)), c = paths[k].curvature_per_mm[i];
-      [mm(placeOf(k)), mm(paths[k].clearance_mm[i], 2), c < 0.005 ? 'straight' : mm(1 / c), `${minus(c.toFixed(3))}`].forEach((text, n) => { cells[n].textContent = text; });
+      [mm(placeOf(k)), paths[k].clearance_mm ? mm(paths[k].clearance_mm[i], 2) : '–', c < 0.005 ? 'straight' : mm(1 / c), `${minus(c.toFixed(3))}`].forEach((text, n) => { cells[n].textContent = text; });
     });
   });
 }
