@@ -14,7 +14,7 @@ import numpy as np
 from segmentation.arrays import FloatArray, frozen_array
 from segmentation.mesh import Surface
 from tubeplan_viz.bench.axes import Axis
-from tubeplan_viz.bench.meshing import marching_surface
+from tubeplan_viz.bench.meshing import constant_radius, marching_surface
 
 AXIS_STEP = 0.1
 
@@ -79,24 +79,27 @@ class TreeModel:
         """Middles of the tips' caps, (k, 3) mm."""
         return np.array([self.branches[number].points[-1] for number in self.leaves])
 
-    def interior_axes(self, *, end_length: float, junction_radii: float) -> FloatArray:
-        """Points on the axes away from ends and junctions, (n, 3) mm.
+    def off_axis(self, points: FloatArray, *, end_length: float, junction_radii: float) -> FloatArray:
+        """Distance to the nearest axis, mm, of those points whose foot is away from ends and junctions, (k,).
 
         Parameters
         ----------
+        points : (n, 3) float array, mm
         end_length : float, mm
             Left out at the root's and the tips' caps.
         junction_radii : float
-            Left out at junctions, in radii of the branch that enters.
+            Left out on both sides of a junction, in radii of the branch that enters it.
         """
-        parts = []
+        gap, counts = np.full(len(points), np.inf), np.zeros(len(points), dtype=bool)
         for number, branch in enumerate(self.branches):
-            s = np.linspace(0.0, branch.axis.length, len(branch.points))
             entering = branch.radius if branch.parent < 0 else self.branches[branch.parent].radius
             low = end_length if branch.parent < 0 else junction_radii * entering
-            high = end_length if number in self.leaves else junction_radii * branch.radius
-            parts.append(branch.points[(s > low) & (s < branch.axis.length - high)])
-        return np.concatenate(parts)
+            high = branch.axis.length - (end_length if number in self.leaves else junction_radii * branch.radius)
+            found, arc = branch.axis.nearest(points, branch.radius)
+            nearer = found < gap
+            gap[nearer] = found[nearer]
+            counts[nearer] = ((arc > low) & (arc < high))[nearer]
+        return gap[counts]
 
 
 def renal_tree(*, voxel: float = 0.471) -> TreeModel:
@@ -140,12 +143,10 @@ def airway_tree(*, generations: int = 5, voxel: float = 0.642) -> TreeModel:
 
 def _meshed(name: str, branches: list[TreeBranch], voxel: float) -> TreeModel:
     parents = {branch.parent for branch in branches}
-    tubes = []
-    for number, branch in enumerate(branches):
-        radius = branch.radius
-        tubes.append(
-            (branch.axis, lambda s, radius=radius: np.full(np.shape(s), radius), (branch.parent < 0, number not in parents))
-        )
+    tubes = [
+        (branch.axis, constant_radius(branch.radius), (branch.parent < 0, number not in parents))
+        for number, branch in enumerate(branches)
+    ]
     return TreeModel(name, marching_surface(tubes, voxel=voxel), tuple(branches))
 
 

@@ -17,6 +17,7 @@ __all__ = [
     "ScaledCurvature",
     "VoronoiGraph",
     "centerline_tree",
+    "curvature_at_scale",
     "even_points",
     "find_endpoints",
     "trace_centerline",

@@ -59,7 +59,7 @@ class ScaleSettings:
         if not 0.0 < 5.0 * self.spacing <= self.least <= self.noise_window:
             raise GeometryError(
                 f"a spacing of {self.spacing:g} mm, a least window of {self.least:g} mm and a noise window of "
-                f"{self.noise_window:g} mm do not go together; expected five spacings at most the least, that at most the noise window"
+                f"{self.noise_window:g} mm do not go together; expected five spacings <= least window <= noise window"
             )
 
 
