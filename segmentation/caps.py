@@ -112,10 +112,11 @@ class _Finder:
         near = near[free[near] & (self.areas[near] > 0.0)]
         allowed, tried = np.zeros(len(free), dtype=bool), np.zeros(len(free), dtype=bool)
         allowed[near] = True
+        near_centers, near_normals = self.centers[near], self.normals[near]
         for seed in self._seeds(site, near):
             if tried[seed]:
                 continue
-            faces = self._flat_patch(seed, near, allowed)
+            faces = self._flat_patch(seed, near, near_centers, near_normals, allowed)
             tried[seed] = True
             tried[faces] = True
             patch = self._disc(faces) if len(faces) else None
@@ -140,8 +141,13 @@ class _Finder:
             order = np.concatenate([order[:half], order[np.linspace(half, len(order) - 1, half).astype(int)]])
         return np.asarray(order)
 
-    def _flat_patch(self, seed: int, near: IntArray, allowed: BoolArray) -> IntArray:
-        """Connected faces around a seed within the tolerance of one plane, the plane refitted three times."""
+    def _flat_patch(
+        self, seed: int, near: IntArray, near_centers: FloatArray, near_normals: FloatArray, allowed: BoolArray
+    ) -> IntArray:
+        """Connected faces around a seed within the tolerance of one plane, the plane refitted three times.
+
+        A face within the tolerance has its centre there too, so the centres leave few faces whose corners are looked at.
+        """
         reach = self.tree.query_ball_point(self.centers[seed], 3.0 * np.sqrt(self.areas[seed]) + 0.4)
         around = np.asarray(reach, dtype=np.int64)
         around = around[allowed[around]]
@@ -153,8 +159,10 @@ class _Finder:
         level = float(np.average(self.centers[around] @ normal, weights=self.areas[around]))
         faces = around
         for _ in range(3):
-            height = self.corners[near] @ normal - level
-            flat = near[(np.abs(height).max(axis=1) <= self.tolerance) & (self.normals[near] @ normal > FACET_COSINE)]
+            close = np.abs(near_centers @ normal - level) <= 1.001 * self.tolerance
+            likely = np.flatnonzero(close & (near_normals @ normal > FACET_COSINE))
+            height = self.corners[near[likely]] @ normal - level
+            flat = near[likely[np.abs(height).max(axis=1) <= self.tolerance]]
             faces = self._connected(flat, seed)
             if len(faces) < 3:
                 return faces[:0]
