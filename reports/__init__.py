@@ -5,9 +5,11 @@ from reports.render import (
     ReportError,
     render_comparison,
     render_matrix,
+    render_needle,
     render_report,
     write_comparison,
     write_matrix,
+    write_needle,
     write_report,
 )
 
@@ -17,8 +19,10 @@ __all__ = [
     "derived_values",
     "render_comparison",
     "render_matrix",
+    "render_needle",
     "render_report",
     "write_comparison",
     "write_matrix",
+    "write_needle",
     "write_report",
 ]

@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from reports.comparison import make_comparison_page
 from reports.matrix import make_matrix_page
+from reports.needle import make_needle_page
 from reports.views import make_page
 from segmentation.errors import TubeplanError
 from segmentation.mesh import Surface
@@ -145,6 +146,29 @@ def write_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> N
         If the file cannot be written.
     """
     _write(render_matrix(document, surface), path)
+
+
+def render_needle(case_id: str, result: Mapping[str, Any]) -> str:
+    """The report of one needle run as HTML, without outside references and without scripts.
+
+    Raises
+    ------
+    ReportError
+        If the result holds numbers that are not finite.
+    """
+    page = make_needle_page(case_id, result)
+    return _filled("needle.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
+
+
+def write_needle(case_id: str, result: Mapping[str, Any], path: Path) -> None:
+    """Write the report of one needle run; readable by its owner only, on the disk when this returns.
+
+    Raises
+    ------
+    ReportError
+        If the file cannot be written.
+    """
+    _write(render_needle(case_id, result), path)
 
 
 def _style() -> str:

@@ -11,7 +11,7 @@ from typer.exceptions import TyperException
 
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
-from tubeplan_viz.cli import bench, compare, demo, endpoints, init, inspect, matrix, plan, run, segment, verify, view
+from tubeplan_viz.cli import bench, compare, demo, endpoints, init, inspect, matrix, plan, plan_needle, run, segment, verify, view
 from tubeplan_viz.plan import NoPathError
 
 OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
@@ -28,6 +28,8 @@ app = typer.Typer(
 plans = typer.Typer(help="Plan a path without a case file.", no_args_is_help=True, rich_markup_mode=None)
 app.add_typer(plans, name="plan")
 plans.command("tube")(plan.tube)
+plans.command("needle2d")(plan_needle.needle2d)
+plans.command("needle3d")(plan_needle.needle3d)
 for name, command in (
     ("demo", demo.demo),
     ("init", init.init),

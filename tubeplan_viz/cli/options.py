@@ -128,4 +128,4 @@ def hu_limit(name: str, value: str) -> float | str:
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     """Tables of a case file with options laid over them."""
-    return {name: {**base.get(name, {}), **over.get(name, {})} for name in {**base, **over}}
+    return {**base, **{name: {**base.get(name, {}), **over[name]} for name in over}}

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from tubeplan_viz.case import make_case, read_table
+from tubeplan_viz.case import read_table
 from tubeplan_viz.case_lines import naming_lines
 from tubeplan_viz.cli.options import Connect, Force, Json, NoRecording, NoReport, Output, Quiet, case_options, merged
 from tubeplan_viz.cli.show import progress, report_plan
-from tubeplan_viz.pipeline import run_case
+from tubeplan_viz.planners import make_case, run_case
 
 
 @case_options

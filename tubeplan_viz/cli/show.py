@@ -75,11 +75,15 @@ def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> in
     metrics, limits = result["metrics"], result["limits"]
     words = {0: "holds: both limits are kept and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
     typer.echo(words if result["reason"] is None else f"{words}: {result['reason']}")
-    typer.echo(
-        f"path {metrics['length_mm']:.1f} mm, "
-        f"least clearance {metrics['clearance_min_mm']:.2f} of {limits['clearance_min_mm']:g} mm, "
-        f"largest curvature {metrics['curvature_max_per_mm']:.4f} of {limits['curvature_max_per_mm']:g} 1/mm"
+    told = (
+        ("path {:.1f} mm", metrics["length_mm"], ()),
+        ("least clearance {:.2f} of {:g} mm", metrics["clearance_min_mm"], (limits["clearance_min_mm"],)),
+        ("largest curvature {:.4f} of {:g} 1/mm", metrics["curvature_max_per_mm"], (limits["curvature_max_per_mm"],)),
+        ("tip error {:.2g} mm", metrics["tip_error_mm"], ()),
     )
+    shown = [form.format(value, *limit) for form, value, limit in told if value is not None]
+    if shown:
+        typer.echo(", ".join(shown))
     for flag in result["flagged_intervals"]:
         unit = "mm" if flag["kind"] == "clearance" else "1/mm"
         typer.echo(

@@ -178,6 +178,11 @@ class MaskObstacle:
         within = ndimage.distance_transform_edt(inside, sampling=spacing)
         self._field = np.asarray(outside - within, dtype=np.float32)
 
+    def rim(self) -> FloatArray:
+        """Centres, mm, (k, 3), of the obstacle's voxels that touch another one."""
+        inside = np.asarray(self.volume.voxels) > 0
+        return self.volume.to_lps(np.argwhere(inside & ~ndimage.binary_erosion(inside)))
+
     def distance(self, points: FloatArray) -> FloatArray:
         """Signed distance, mm, less its error bound; outside the volume that of the nearest voxel within, plus the way to it."""
         flat = points.reshape(-1, 3)

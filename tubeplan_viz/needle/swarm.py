@@ -275,6 +275,27 @@ def plan_spatial(
     )
 
 
+def plan_printed(
+    problem: SpatialProblem,
+    settings: SwarmSettings | None = None,
+    *,
+    rng: np.random.Generator | None = None,
+    watch: Callable[[SwarmRound], None] | None = None,
+) -> NeedlePath:
+    """The printed method alone: one swarm, its best path as it is, a failure if it ends `stop_error` or more off the target."""
+    settings = settings or SwarmSettings()
+    rounds: list[SwarmRound] = []
+    for state in swarm_rounds(problem, settings, rng or np.random.default_rng(0)):
+        rounds.append(state)
+        if watch is not None:
+            watch(state)
+    last = rounds[-1]
+    if not np.isfinite(last.danger) or last.error >= settings.stop_error:
+        nearest = last if np.isfinite(last.danger) else None
+        return NeedlePath(rounds=tuple(rounds), swarms=1, reason=no_path(problem, nearest, 1))
+    return made_path(problem, last.best, tuple(rounds), 1)
+
+
 def cost_of(problem: SpatialProblem, x: FloatArray) -> float:
     """Length and weighted danger of one path, mm."""
     found = worth(problem, x[None])

@@ -1,7 +1,7 @@
 """result.json and its schema, the run folder, exports, and the run as recording and report see it."""
 
 from tubeplan_viz.result.comparison import COMPARISON_FILES, ComparedRun, Comparison, compare_runs, read_runs
-from tubeplan_viz.result.document import Provenance, build_result, plain, result_text
+from tubeplan_viz.result.document import Provenance, assemble_result, build_result, plain, result_text
 from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, path_csv, slicer_markups
 from tubeplan_viz.result.folder import RunFolder, file_sha256, is_run, read_result
@@ -18,6 +18,7 @@ __all__ = [
     "Review",
     "RunFolder",
     "RunFolderError",
+    "assemble_result",
     "build_result",
     "compare_runs",
     "file_sha256",

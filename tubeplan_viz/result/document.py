@@ -103,12 +103,11 @@ def build_result(
         raise ResultError(
             f"result.json: details {', '.join(twice)} come from the planner and the pipeline, expected from one of them"
         )
-    result = plain(
+    return assemble_result(
         {
-            "schema_version": SCHEMA_VERSION,
             "status": plan.status,
             "reason": plan.reason,
-            "planner": {"name": plan.planner, "method": plan.method, "version": provenance.version},
+            "planner": {"name": plan.planner, "method": plan.method},
             "frame": frame,
             "limits": {"curvature_max_per_mm": plan.limits.curvature_max, "clearance_min_mm": plan.limits.clearance_min},
             "path": {
@@ -120,9 +119,7 @@ def build_result(
             "spline": {"degree": plan.curve.degree, "knots": plan.curve.knots, "control_points_mm": plan.curve.control_points},
             "centerline": {"points_mm": plan.centerline.points, "radius_mm": plan.centerline.radii},
             "feature_points": _feature_points(plan),
-            "metrics": {
-                name: plan.metrics.get(name) for name in (*METRICS, *(key for key in plan.metrics if key not in METRICS))
-            },
+            "metrics": plan.metrics,
             "certificate": {
                 "holds": plan.certificate.holds,
                 "curvature_upper_bound_per_mm": plan.certificate.curvature_upper_bound,
@@ -135,6 +132,47 @@ def build_result(
             ],
             "iterations": [_iteration(step) for step in plan.steps],
             "details": {**plan.details, **details},
+        },
+        timings_s=timings_s,
+        provenance=provenance,
+    )
+
+
+def assemble_result(content: Mapping[str, Any], *, timings_s: Mapping[str, float], provenance: Provenance) -> dict[str, Any]:
+    """The content of result.json from what a planner says, for paths of every kind.
+
+    Parameters
+    ----------
+    content : mapping
+        Keys of spec 0.4 from ``status`` to ``details``; those left out that do not apply become null (or an empty list).
+    timings_s : mapping of stage to seconds
+    provenance : Provenance
+
+    Returns
+    -------
+    dict
+        Valid by result.schema.json.
+
+    Raises
+    ------
+    ResultError
+        If a number is not finite, or the outcome does not follow the schema.
+    """
+    metrics = content["metrics"]
+    result = plain(
+        {
+            "schema_version": SCHEMA_VERSION,
+            "status": content["status"],
+            "reason": content["reason"],
+            "planner": {**content["planner"], "version": provenance.version},
+            "frame": content["frame"],
+            "limits": content["limits"],
+            **{name: content.get(name) for name in ("path", "spline", "centerline", "feature_points")},
+            "metrics": {name: metrics.get(name) for name in (*METRICS, *(key for key in metrics if key not in METRICS))},
+            "certificate": content.get("certificate"),
+            "flagged_intervals": content.get("flagged_intervals", []),
+            "iterations": content.get("iterations"),
+            "details": content.get("details", {}),
             "timings_s": timings_s,
             "provenance": {
                 "software": provenance.software,

@@ -53,7 +53,7 @@ def _check_path(result: Mapping[str, Any]) -> None:
                 "result.json: flagged_intervals is not empty, expected none where path is null; plan the case again"
             )
         return
-    lengths = {key: len(values) for key, values in path.items()}
+    lengths = {key: len(values) for key, values in path.items() if values is not None}
     if len(set(lengths.values())) > 1:
         raise ResultError(f"result.json: the lists of path have the lengths {lengths}, expected one length; plan the case again")
     s = path["s_mm"]

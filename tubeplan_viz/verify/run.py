@@ -20,6 +20,7 @@ from tubeplan_viz.verify.claims import (
 )
 from tubeplan_viz.verify.files import check_markups, check_outputs, check_table
 from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
+from tubeplan_viz.verify.needle import check_needle
 from tubeplan_viz.verify.page import check_page
 from tubeplan_viz.verify.profile import OwnProfile, measure
 from tubeplan_viz.verify.setting import check_ends, check_frame, check_limits, check_surface, check_unit
@@ -28,6 +29,7 @@ from tubeplan_viz.verify.verification import Check, Verification
 from tubeplan_viz.verify.wall import Lumen, Triangles
 
 SPLINE_PLANNERS = ("tube",)
+NEEDLE_PLANNERS = ("needle2d", "needle3d")
 LONGEST_MM = 5000.0
 Content = TypeVar("Content")
 
@@ -113,6 +115,9 @@ def _checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
 
 
 def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
+    if result["planner"]["name"] in NEEDLE_PLANNERS:
+        yield from check_needle(folder, result)
+        return
     if result["planner"]["name"] not in SPLINE_PLANNERS:
         found = result["planner"]["name"]
         yield Check(

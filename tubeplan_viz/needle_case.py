@@ -1,0 +1,336 @@
+"""The case of a needle: the same names in the case file and on the command line, checked, defaults resolved."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from segmentation.errors import CaseError
+from tubeplan_viz.case import check_keys, listed, number, point, text
+from tubeplan_viz.needle.planar import PlanarSettings
+from tubeplan_viz.needle.spatial import NeedleSettings
+from tubeplan_viz.needle.swarm import SwarmSettings
+
+NEEDLES = {"needle2d": ("forms",), "needle3d": ("swarm", "printed")}
+FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
+# Key of the table [needle2d] -> attribute of PlanarSettings; degrees become radian.
+PLANAR_KEYS = {
+    "radius_mm": "radius",
+    "safety_mm": "safety",
+    "degree_max": "degree_max",
+    "weight_length": "weight_length",
+    "weight_danger": "weight_danger",
+    "weight_degree": "weight_degree",
+    "angle_max_deg": "angle_max",
+    "piece_min_mm": "piece_min",
+    "turn_max_deg": "turn_max",
+}
+# Key of the table [needle3d] -> settings and attribute.
+SPACE_KEYS = {
+    "kappa": ("needle", "kappa"),
+    "safety_mm": ("needle", "safety"),
+    "pieces": ("needle", "pieces"),
+    "duty_cycle": ("needle", "duty_cycle"),
+    "entry_radius_mm": ("needle", "entry_radius"),
+    "cone_deg": ("needle", "cone"),
+    "piece_min_mm": ("needle", "piece_min"),
+    "weight_danger": ("needle", "weight_danger"),
+    "particles": ("swarm", "particles"),
+    "rounds": ("swarm", "rounds"),
+    "restarts": ("swarm", "restarts"),
+    "stop_error_mm": ("swarm", "stop_error"),
+}
+WHOLE = ("degree_max", "pieces", "particles", "rounds", "restarts")
+PLACES = ("entry", "target", "direction")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObstacleCase:
+    """One ``[[obstacles]]``: lengths in mm; `file` for a mesh or mask, with `hu_min` a CT of which voxels from there on count."""
+
+    kind: str
+    center: tuple[float, ...] | None = None
+    radius_mm: float | None = None
+    points: tuple[tuple[float, ...], ...] | None = None
+    file: Path | None = None
+    hu_min: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class EventCase:
+    """One ``[[events]]``: an obstacle (from 1) moves to `center`, the target moves, or the true curvature is `kappa`."""
+
+    at_mm: float
+    obstacle: int | None = None
+    center: tuple[float, float, float] | None = None
+    target: tuple[float, float, float] | None = None
+    kappa: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeedleCase:
+    """One needle case, complete: running it again gives the same plan.
+
+    Places have two numbers (y, z) for needle2d and three for needle3d, mm. `frame` is "LPS" for patient
+    coordinates, otherwise "mesh": the case's own axes.
+    """
+
+    name: str
+    method: str
+    entry: tuple[float, ...]
+    target: tuple[float, ...]
+    direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    case_id: str | None = None
+    frame: str = "mesh"
+    rng_seed: int = 0
+    time_budget: float | None = None
+    obstacles: tuple[ObstacleCase, ...] = ()
+    events: tuple[EventCase, ...] = ()
+    planar: PlanarSettings = field(default_factory=PlanarSettings)
+    needle: NeedleSettings = field(default_factory=NeedleSettings)
+    swarm: SwarmSettings = field(default_factory=SwarmSettings)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the path stays in the plane."""
+        return self.name == "needle2d"
+
+    @property
+    def kappa(self) -> float:
+        """Largest curvature, 1/mm."""
+        return 1.0 / self.planar.radius if self.flat else self.needle.kappa
+
+    @property
+    def safety(self) -> float:
+        """Least distance to any obstacle, mm."""
+        return self.planar.safety if self.flat else self.needle.safety
+
+
+def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str = "case") -> NeedleCase:
+    """A needle's case from tables as in a case file.
+
+    The needle's own keys stand in the table named after the planner; at the top of the file, in ``[planner]``, ``[input]`` or
+    ``[limits]`` they are taken too. ``curvature_max`` and ``clearance_min`` of ``[limits]`` are kappa and safety_mm.
+
+    Raises
+    ------
+    CaseError
+        Naming the file, the table and the key.
+    """
+    planner = dict(table.get("planner", {}))
+    which = str(planner.pop("name", ""))
+    if which not in NEEDLES:
+        raise CaseError(f"{name} [planner]: there is no needle planner {which!r}, expected {' or '.join(NEEDLES)}")
+    known = set(PLANAR_KEYS if which == "needle2d" else SPACE_KEYS) | {*PLACES, "kappa", "radius_mm", "safety_mm", "frame"}
+    own = gathered(table, planner, which, known, name)
+    case_id = dict(table.get("input", {})).get("case_id")
+    check_keys(planner, ("method", "rng_seed", "time_budget"), f"{name} [planner]", "key")
+    method = text(planner.get("method", NEEDLES[which][0]), f"{name} [planner] method")
+    if method not in NEEDLES[which]:
+        raise CaseError(f"{name} [planner] method: {which} has no method {method!r}, expected {' or '.join(NEEDLES[which])}")
+    budget = planner.get("time_budget")
+    flat = which == "needle2d"
+    places = {key: place(own.pop(key), 2 if flat else 3, f"{name} {key}") for key in PLACES if key in own}
+    if "target" not in places:
+        raise CaseError(f"{name}: no target was given; give target = {'[y, z]' if flat else '[x, y, z]'} in mm (--target)")
+    if flat and "direction" in places:
+        raise CaseError(f"{name}: needle2d finds its own insertion angle; leave direction out (angle_max_deg limits it)")
+    frame = text(own.pop("frame", "mesh"), f"{name} frame")
+    if frame not in ("LPS", "mesh"):
+        raise CaseError(f"{name} frame: found {frame!r}, expected LPS (patient) or mesh (the case's own axes)")
+    planar, spatial = settings_of(own, flat, name)
+    return NeedleCase(
+        name=which,
+        method=method,
+        entry=places.get("entry", (0.0,) * (2 if flat else 3)),
+        target=places["target"],
+        direction=point(places["direction"], f"{name} direction") if "direction" in places else (0.0, 0.0, 1.0),
+        case_id=None if case_id is None else text(case_id, f"{name} [input] case_id"),
+        frame=frame,
+        rng_seed=int(number(planner.get("rng_seed", 0), f"{name} [planner] rng_seed")),
+        time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
+        obstacles=tuple(
+            obstacle_case(row, flat, folder, f"{name} [[obstacles]] {k + 1}") for k, row in enumerate(table.get("obstacles", []))
+        ),
+        events=tuple(event_case(row, f"{name} [[events]] {k + 1}") for k, row in enumerate(table.get("events", []))),
+        planar=planar,
+        needle=NeedleSettings(**spatial["needle"]),
+        swarm=SwarmSettings(**spatial["swarm"]),
+    )
+
+
+def gathered(table: Mapping[str, Any], planner: dict[str, Any], which: str, known: set[str], name: str) -> dict[str, Any]:
+    """The needle's own keys from wherever they stand; one in two places is refused, an unknown one too."""
+    own = dict(table.get(which, {}))
+    check_keys(own, sorted(known), f"{name} [{which}]", "key")
+    inputs, limits = dict(table.get("input", {})), dict(table.get("limits", {}))
+    renamed = {"curvature_max": "kappa", "clearance_min": "safety_mm"}
+    limits = {renamed.get(key, key): value for key, value in limits.items()}
+    top = {key: value for key, value in table.items() if not isinstance(value, Mapping) and key not in ("obstacles", "events")}
+    for where, rows in (("the top", top), ("[planner]", planner), ("[input]", inputs), ("[limits]", limits)):
+        for key in [key for key in rows if key in known]:
+            if key in own:
+                raise CaseError(f"{name}: {key} stands twice, in {where} and elsewhere; expected once")
+            own[key] = rows.pop(key)
+    check_keys(inputs, ("case_id",), f"{name} [input]", "key")
+    check_keys(limits, (), f"{name} [limits]", "key") if limits else None
+    check_keys(
+        {key: value for key, value in table.items() if key not in known},
+        ("input", "limits", "planner", which, "obstacles", "events"),
+        name,
+        "table",
+    )
+    if "kappa" in own and "radius_mm" in own:
+        raise CaseError(f"{name}: kappa and radius_mm are both given; one is the reciprocal of the other, give one")
+    return own
+
+
+def settings_of(own: dict[str, Any], flat: bool, name: str) -> tuple[PlanarSettings, dict[str, dict[str, Any]]]:
+    """Settings from the needle's keys in the units of the file."""
+    if flat and "kappa" in own:
+        own["radius_mm"] = reciprocal(own.pop("kappa"), f"{name} kappa")
+    if not flat and "radius_mm" in own:
+        own["kappa"] = reciprocal(own.pop("radius_mm"), f"{name} radius_mm")
+    planar: dict[str, Any] = {}
+    spatial: dict[str, dict[str, Any]] = {"needle": {}, "swarm": {}}
+    for key, value in own.items():
+        if key == "duty_cycle":
+            if not isinstance(value, bool):
+                raise CaseError(f"{name} duty_cycle: found {value!r}, expected true or false")
+            found: Any = value
+        else:
+            found = number(value, f"{name} {key}")
+            if key in WHOLE and found != int(found):
+                raise CaseError(f"{name} {key}: found {value!r}, expected a whole number")
+            found = int(found) if key in WHOLE else float(np.radians(found)) if key.endswith("_deg") else found
+        if flat:
+            planar[PLANAR_KEYS[key]] = found
+        else:
+            part, attribute = SPACE_KEYS[key]
+            spatial[part][attribute] = found
+    return PlanarSettings(**planar), spatial
+
+
+def reciprocal(value: Any, where: str) -> float:
+    """1 / value of a number above 0."""
+    found = number(value, where)
+    if found <= 0.0:
+        raise CaseError(f"{where}: found {found:g}, expected more than 0")
+    return 1.0 / found
+
+
+def place(value: Any, size: int, where: str) -> tuple[float, ...]:
+    """Two or three finite numbers, from a list or from text ``Y,Z``."""
+    if isinstance(value, str):
+        try:
+            value = [float(part) for part in value.split(",")]
+        except ValueError:
+            raise CaseError(
+                f"{where}: found {value!r}, expected {size} numbers in mm, like {'0,90' if size == 2 else '0,0,100'}"
+            ) from None
+    if not isinstance(value, Sequence) or len(value) != size:
+        raise CaseError(f"{where}: found {value!r}, expected {size} numbers in mm")
+    return tuple(number(part, where) for part in value)
+
+
+def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> ObstacleCase:
+    """One obstacle, checked."""
+    if not isinstance(row, Mapping):
+        raise CaseError(f"{where}: found {type(row).__name__}, expected a table")
+    check_keys(row, [f.name for f in fields(ObstacleCase)], where, "key")
+    kinds, size = (FLAT_KINDS, 2) if flat else (SPACE_KINDS, 3)
+    kind = str(row.get("kind"))
+    if kind not in kinds:
+        raise CaseError(f"{where} kind: found {kind}, expected {', '.join(kinds)} {'in the plane' if flat else 'in space'}")
+    needed: dict[str, tuple[str, ...]] = {
+        "circle": ("center", "radius_mm"),
+        "sphere": ("center", "radius_mm"),
+        "capsule": ("points", "radius_mm"),
+    }
+    needed |= {"polygon": ("points",), "mesh": ("file",), "mask": ("file",)}
+    able = (*needed[kind], "kind", *(("hu_min",) if kind == "mask" else ()))
+    for key in needed[kind]:
+        if key not in row:
+            raise CaseError(f"{where}: a {kind} needs {key}")
+    check_keys(row, able, f"{where} ({kind})", "key")
+    path = None
+    if "file" in row:
+        path = Path(text(row["file"], f"{where} file")).expanduser()
+        path = path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
+    return ObstacleCase(
+        kind=kind,
+        center=place(row["center"], size, f"{where} center") if "center" in row else None,
+        radius_mm=number(row["radius_mm"], f"{where} radius_mm") if "radius_mm" in row else None,
+        points=tuple(place(p, size, f"{where} points") for p in row["points"]) if "points" in row else None,
+        file=path,
+        hu_min=number(row["hu_min"], f"{where} hu_min") if "hu_min" in row else None,
+    )
+
+
+def event_case(row: Any, where: str) -> EventCase:
+    """One event, checked."""
+    if not isinstance(row, Mapping):
+        raise CaseError(f"{where}: found {type(row).__name__}, expected a table")
+    check_keys(row, [f.name for f in fields(EventCase)], where, "key")
+    if "at_mm" not in row:
+        raise CaseError(f"{where}: an event needs at_mm")
+    return EventCase(
+        at_mm=number(row["at_mm"], f"{where} at_mm"),
+        obstacle=int(number(row["obstacle"], f"{where} obstacle")) if "obstacle" in row else None,
+        center=point(row["center"], f"{where} center") if "center" in row else None,
+        target=point(row["target"], f"{where} target") if "target" in row else None,
+        kappa=number(row["kappa"], f"{where} kappa") if "kappa" in row else None,
+    )
+
+
+def needle_case_table(case: NeedleCase, *, folder: Path | None = None) -> dict[str, Any]:
+    """The case as tables without keys that are unset; files relative to `folder`, or names only."""
+
+    def shown(path: Path) -> str:
+        return path.name if folder is None else Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+
+    own: dict[str, Any] = {"entry": list(case.entry), "target": list(case.target), "frame": case.frame}
+    if case.flat:
+        own |= {key: in_file(key, getattr(case.planar, attribute)) for key, attribute in PLANAR_KEYS.items()}
+    else:
+        own["direction"] = list(case.direction)
+        own |= {key: in_file(key, getattr(getattr(case, part), attribute)) for key, (part, attribute) in SPACE_KEYS.items()}
+    planner = {"name": case.name, "method": case.method, "rng_seed": case.rng_seed, "time_budget": case.time_budget}
+    tables: dict[str, Any] = {
+        "input": {"case_id": case.case_id},
+        "planner": planner,
+        case.name: own,
+    }
+    made: dict[str, Any] = {
+        name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()
+    }
+    rows = [{f.name: getattr(body, f.name) for f in fields(ObstacleCase)} for body in case.obstacles]
+    for row in rows:
+        row["file"] = None if row["file"] is None else shown(row["file"])
+    events = [{f.name: getattr(event, f.name) for f in fields(EventCase)} for event in case.events]
+    for name, items in (("obstacles", rows), ("events", events)):
+        if items:
+            made[name] = [{key: listed(value) for key, value in item.items() if value is not None} for item in items]
+    return made
+
+
+def in_file(key: str, value: Any) -> Any:
+    """A setting in the unit of its key; degrees that are read back as the same radian."""
+    if not key.endswith("_deg"):
+        return value
+    degrees = float(np.degrees(value))
+    tidy = round(degrees, 9)
+    return tidy if float(np.radians(tidy)) == value else degrees
+
+
+def needle_case_text(case: NeedleCase, folder: Path) -> str:
+    """case.toml: every default resolved, files relative to the run folder."""
+    head = "# tubeplan needle case, every default resolved. Research use, not for clinical decisions.\n"
+    units = "# Points and lengths in mm, curvature in 1/mm, HU limits in HU, times in s.\n\n"
+    return head + units + tomli_w.dumps(needle_case_table(case, folder=folder))
