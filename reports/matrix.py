@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.folds import Fact, Fold
-from reports.numbers import Figure, Phrase, Source, phrase
+from reports.numbers import Figure, Phrase, Source, phrase, printed
 from reports.still import Label, choose_view, still_picture
 from reports.wall import light_mesh
 from segmentation.mesh import Surface
@@ -18,6 +18,7 @@ from segmentation.mesh import Surface
 ICONS = {"feasible": "yes", "flagged": "flag", "impossible": "no"}
 WORDS = {"feasible": "Holds", "flagged": "Flagged", "impossible": "Impossible"}
 TITLES = {"ok": "Every instrument reaches every target", "infeasible": "No instrument reaches any target"}
+CEILING_PLACES = {"start": "at the start itself", "goal": "at the target itself"}
 PARTS = {"shaft": "", "tip": "rigid tip", "ceiling": "at most"}
 
 
@@ -179,12 +180,31 @@ def _target(source: Source, rows: tuple[RowView, ...], j: int) -> TargetView:
 
 
 def _hindrances(document: Mapping[str, Any]) -> tuple[Hindrance, ...]:
-    return tuple(
-        Hindrance(cell["verdict"], ICONS[cell["verdict"]], str(one["name"]), str(target["label"]), str(cell["reason"]))
-        for one, row in zip(document["instruments"], document["cells"], strict=True)
-        for target, cell in zip(document["targets"], row, strict=True)
-        if cell["verdict"] != "feasible"
-    )
+    """Flagged cells one by one; what is proved to be too narrow once per target, with all instruments that it keeps out."""
+    flagged, narrow, other = [], [], []
+    for j, target in enumerate(document["targets"]):
+        label = str(target["label"])
+        kept_out = []
+        for one, row in zip(document["instruments"], document["cells"], strict=True):
+            cell = row[j]
+            said = Hindrance(cell["verdict"], ICONS[cell["verdict"]], str(one["name"]), label, str(cell["reason"]))
+            if cell["verdict"] == "flagged":
+                flagged.append(said)
+            elif cell["verdict"] == "impossible" and one["outer_diameter_mm"] > 2.0 * target["ceiling_mm"]:
+                kept_out.append(one)
+            elif cell["verdict"] == "impossible":
+                other.append(said)
+        if kept_out:
+            thinnest = min(kept_out, key=lambda one: one["outer_diameter_mm"])
+            place = CEILING_PLACES.get(target["ceiling_end"] or "", "on every way there")
+            names = str(thinnest["name"]) + (f" and {len(kept_out) - 1} thicker" if len(kept_out) > 1 else "")
+            point = ", ".join(printed(v, 1) for v in target["ceiling_point_mm"])
+            why = (
+                f"proved: {place} the lumen leaves {printed(target['ceiling_mm'], 2)} mm at most, at ({point}) mm; "
+                f"{printed(0.5 * thinnest['outer_diameter_mm'], 2)} mm or more are required"
+            )
+            narrow.append(Hindrance("impossible", ICONS["impossible"], names, label, why))
+    return (*flagged, *narrow, *other)
 
 
 def _still(document: Mapping[str, Any], surface: Surface) -> Markup:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -21,11 +21,14 @@ from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
 from tubeplan_viz.plan import Limits, NoPathError
 from tubeplan_viz.profile import FLAG_SPACING, measure_path
-from tubeplan_viz.tube import METHODS, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
+from tubeplan_viz.tube import METHODS, OptimalSettings, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
 from tubeplan_viz.tube.bottleneck import Bottleneck
 
 # Nearer to the ceiling than this share, a softer instrument gains nothing.
 NEAR_CEILING = 0.99
+# A search for a verdict: where it succeeds it takes under ten rounds; the rest go to instruments that do not fit.
+SEARCH_ROUNDS = 15
+SEARCH_TOLERANCE = 2e-3
 
 
 class Verdict(StrEnum):
@@ -172,7 +175,7 @@ class Reach:
         self.witnesses: list[Witness] = []
         self._wall, self._start, self._target, self._settings = wall, np.asarray(start, dtype=float), target, settings
         self._instruments = tuple(instruments)
-        self._tips: dict[tuple[int, float], TipClearance] = {}
+        self._tips: dict[tuple[int, float, float], TipClearance] = {}
         if target.centerline is not None:
             possible = [one for one in self._instruments if self.proof_against(one) is None]
             self.search(possible)
@@ -227,7 +230,7 @@ class Reach:
         passage = Passage(wall=self._wall, line=self._target.centerline.points, limits=limits)
         curve = None
         try:
-            for proposal in optimise(passage, self._settings.tube.optimal):
+            for proposal in optimise(passage, quick(self._settings.tube.optimal)):
                 curve = proposal.curve
                 # The first proof ends the phase that raises the least clearance; what follows serves its mean.
                 if proposal.clearance is not None:
@@ -258,13 +261,14 @@ class Reach:
         self.witnesses.append(witness_of(curve, self._wall, limits))
         return self.witnesses[-1]
 
-    def tip(self, index: int, length: float) -> TipClearance | None:
-        """Least clearance of a rigid tip along one witness; None for an instrument without one."""
+    def tip(self, index: int, instrument: Instrument) -> TipClearance | None:
+        """Least clearance of an instrument's rigid tip along one witness, close enough to decide; None without a tip."""
+        length, radius = instrument.rigid_tip_mm, instrument.radius
         if length <= 0.0:
             return None
-        if (index, length) not in self._tips:
-            self._tips[index, length] = tip_clearance(self.witnesses[index].curve, self._wall, length)
-        return self._tips[index, length]
+        if (index, length, radius) not in self._tips:
+            self._tips[index, length, radius] = tip_clearance(self.witnesses[index].curve, self._wall, length, limit=radius)
+        return self._tips[index, length, radius]
 
     def keeps(self, witness: Witness, instrument: Instrument) -> bool:
         """Whether a path is proved to keep curvature limit, clearance and working length; the tip is not looked at."""
@@ -287,7 +291,7 @@ class Reach:
         for cell, other in zip(own, self._instruments, strict=True):
             if cell.verdict is Verdict.FEASIBLE and other is not mine and mine.is_no_harder_than(other):
                 assert cell.path is not None
-                return self.cell_of(mine, cell.path, self.tip(cell.path, other.rigid_tip_mm), other.name)
+                return self.cell_of(mine, cell.path, self.tip(cell.path, other), other.name)
         return own[k]
 
     def judge(self, instrument: Instrument) -> Cell:
@@ -316,7 +320,7 @@ class Reach:
         order = sorted(range(len(self.witnesses)), key=lambda k: self.shortfall(instrument, k, None))
         cells = []
         for index in order:
-            tip = self.tip(index, instrument.rigid_tip_mm)
+            tip = self.tip(index, instrument)
             cell = self.cell_of(instrument, index, tip, None)
             if cell.verdict is Verdict.FEASIBLE:
                 return cell
@@ -388,6 +392,13 @@ class Reach:
         if used > instrument.working_length_mm:
             said.append(f"{used:.0f} mm of instrument are needed, the working length is {instrument.working_length_mm:.0f} mm")
         return said
+
+
+def quick(settings: OptimalSettings) -> OptimalSettings:
+    """Settings for many searches: fewer rounds, ended at a gain that no cell would show."""
+    return replace(
+        settings, max_rounds=min(settings.max_rounds, SEARCH_ROUNDS), tolerance=max(settings.tolerance, SEARCH_TOLERANCE)
+    )
 
 
 def witness_of(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Witness:

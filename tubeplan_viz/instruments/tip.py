@@ -18,7 +18,8 @@ from tubeplan_viz.geometry import SplineCurve, WallDistance
 # Fronts are taken this far apart at first, mm; the bound does not depend on it.
 STEP = 0.5
 MAX_DEPTH = 24
-MAX_CELLS = 60_000
+# Keeps the worst case, a tube of even width, at a few seconds; what is left then counts with its bound as it is.
+MAX_CELLS = 40_000
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class TipClearance:
     deviation: float
 
 
-def tip_clearance(curve: SplineCurve, wall: WallDistance, length: float, *, tolerance: float = 0.02) -> TipClearance:
+def tip_clearance(
+    curve: SplineCurve, wall: WallDistance, length: float, *, limit: float = np.inf, tolerance: float = 0.05
+) -> TipClearance:
     """Least clearance of a straight tip that moves along a path with both its ends on it.
 
     Until the front has come the tip's own length from the start, its back is the start: what
@@ -58,8 +61,10 @@ def tip_clearance(curve: SplineCurve, wall: WallDistance, length: float, *, tole
     wall : WallDistance
     length : float, mm
         Of the rigid tip, more than 0.
+    limit : float, mm, optional
+        Where the bound exceeds it, it is not made closer.
     tolerance : float, mm
-        Between the bound and the least value met.
+        Between the bound and the least value met, where the bound falls short of the limit.
 
     Raises
     ------
@@ -83,7 +88,7 @@ def tip_clearance(curve: SplineCurve, wall: WallDistance, length: float, *, tole
         if value.min() < best:
             k = int(np.argmin(value))
             best, at, where = float(value[k]), float(0.5 * (low_s[k] + high_s[k])), middle[k]
-        loose = value - reach < best - tolerance
+        loose = value - reach < min(best - tolerance, limit)
         if looked > MAX_CELLS or depth == MAX_DEPTH:
             # What is left counts with its bound as it is.
             loose[:] = False
