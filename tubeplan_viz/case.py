@@ -15,6 +15,7 @@ import tomli_w
 from segmentation.errors import CaseError
 from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.plan import Limits
+from tubeplan_viz.tolerance import ToleranceSettings
 from tubeplan_viz.tube import FeatureSettings, OptimalSettings, RefineSettings, TubeSettings
 
 Place = tuple[float, float, float] | str
@@ -72,6 +73,7 @@ class PlannerCase:
     goal: Place | None = None
     rng_seed: int = 0
     time_budget: float | None = None
+    tolerance: tuple[float, float] | None = None
     closed_ends: bool = False
 
     def __post_init__(self) -> None:
@@ -79,6 +81,8 @@ class PlannerCase:
             raise CaseError(f"there is no planner {self.name!r} yet, expected {' or '.join(PLANNERS)}")
         if self.time_budget is not None and not self.time_budget > 0:
             raise CaseError(f"time_budget is {self.time_budget:g} s, expected more than 0")
+        if self.tolerance is not None:
+            ToleranceSettings(translation=self.tolerance[0], rotation=self.tolerance[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +186,8 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         raise CaseError(f"{name} [planner] closed_ends: found {planner['closed_ends']!r}, expected true or false")
     if planner.get("time_budget") is not None:
         planner["time_budget"] = number(planner["time_budget"], f"{name} [planner] time_budget")
+    if planner.get("tolerance") is not None:
+        planner["tolerance"] = error_of_pose(planner["tolerance"], f"{name} [planner] tolerance")
     limits = subtable(table, "limits", name)
     check_keys(limits, ("curvature_max", "clearance_min"), f"{name} [limits]", "key")
     tube = subtable(table, "tube", name)
@@ -322,6 +328,19 @@ def point(value: Any, where: str) -> tuple[float, float, float]:
         raise CaseError(f"{where}: found {value!r}, expected three numbers in mm")
     x, y, z = (number(v, where) for v in value)
     return (x, y, z)
+
+
+def error_of_pose(value: Any, where: str) -> tuple[float, float]:
+    """Shift in mm and turn in degrees, from a list or from text ``MM,DEG``."""
+    wanted = "a shift in mm and a turn in degrees, e.g. 2,2"
+    if isinstance(value, str):
+        try:
+            value = [float(v) for v in value.split(",")]
+        except ValueError:
+            raise CaseError(f"{where}: found {value!r}, expected {wanted}") from None
+    if not isinstance(value, Sequence) or len(value) != 2:
+        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
+    return (number(value[0], where), number(value[1], where))
 
 
 def end_place(value: Any, where: str) -> Place:

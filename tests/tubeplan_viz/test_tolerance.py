@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from segmentation.errors import CaseError
+from tubeplan_viz.case import make_case
 from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.plan import PathProfile
 from tubeplan_viz.profile import measure_path
@@ -117,3 +118,16 @@ def test_leaving_through_a_cap_is_no_breach(phantoms: ModuleType) -> None:
 def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(CaseError, match=message):
         ToleranceSettings(**settings)
+
+
+def test_the_case_reads_the_error_as_text_or_list_and_refuses_others() -> None:
+    table = {"input": {"mesh": "tube.stl"}}
+    for value in ("2,3", [2.0, 3.0]):
+        assert make_case({**table, "planner": {"tolerance": value}}).planner.tolerance == (2.0, 3.0)
+    for value, message in (
+        ("2", "expected a shift in mm"),
+        ("a,b", "expected a shift in mm"),
+        ([1.0, 99.0], "turn is 99 degrees"),
+    ):
+        with pytest.raises(CaseError, match=message):
+            make_case({**table, "planner": {"tolerance": value}})

@@ -59,6 +59,12 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
     "closed_ends": ("planner", "closed_ends", bool, typer.Option("--closed-ends", help="Count end caps as wall.")),
     "rng_seed": ("planner", "rng_seed", int, typer.Option("--rng-seed", help="Seed of all randomness.")),
     "time_budget": ("planner", "time_budget", float, typer.Option("--time-budget", help="No further round after this many s.")),
+    "tolerance": (
+        "planner",
+        "tolerance",
+        str,
+        typer.Option("--tolerance", help="MM,DEG: chance that the path stays clear under such an error of pose, e.g. 2,2."),
+    ),
     "objective": (
         "tube",
         "objective",

@@ -18,6 +18,7 @@ from tubeplan_viz.pipeline.tree import Tree, endpoint_details, pose_case
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.recording import Recording
 from tubeplan_viz.result import Provenance, Review, RunFolder, build_result, path_csv, slicer_markups
+from tubeplan_viz.tolerance import ToleranceSettings, path_tolerance
 from tubeplan_viz.tube import TubeProblem, conclude, tube_steps
 
 
@@ -88,6 +89,9 @@ def run_case(
             written = write_ply(problem.surface, folder.path("mesh.ply"))
             provenance = Provenance(inputs=lumen.inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
             details = case_details(case, lumen, tree, written, warnings)
+            if case.planner.tolerance is not None:
+                with watch.stage("tolerance"):
+                    details["tolerance"] = tolerance_details(case, problem, plan)
 
             def document() -> dict[str, Any]:
                 return build_result(plan, frame=written.frame, timings_s=watch.seconds, provenance=provenance, details=details)
@@ -138,6 +142,20 @@ def record_anatomy(stream: Recording, lumen: Lumen, problem: TubeProblem, *, lig
 def case_name(case: Case) -> str:
     """The case's own id; never taken from the data, which may hold a name."""
     return case.input.case_id or "case"
+
+
+def tolerance_details(case: Case, problem: TubeProblem, plan: Plan) -> dict[str, Any]:
+    """How the path bears the error of pose that the case names."""
+    assert case.planner.tolerance is not None
+    translation, rotation = case.planner.tolerance
+    found = path_tolerance(
+        plan.profile,
+        problem.wall,
+        case.limits.clearance_min,
+        ToleranceSettings(translation=translation, rotation=rotation),
+        rng=np.random.default_rng(case.planner.rng_seed),
+    )
+    return found.details()
 
 
 def case_details(case: Case, lumen: Lumen, tree: Tree, surface: Surface, warnings: list[str]) -> dict[str, Any]:
