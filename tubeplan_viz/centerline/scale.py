@@ -24,6 +24,10 @@ GROWTH = 1.25
 # A window spans at most this half chord over the radius: past it the arc nears a half circle, and is known well enough.
 STEEPEST = 0.93
 GAUSS_NEWTON_STEPS = 5
+# Share of the windows whose residuals are held for noise alone, however often bends change.
+BETTER = 0.4
+# By how much windows longer than the first may correct the noise upwards.
+MOST_NOISE = 1.3
 # Below this a line is taken for exact; its points are at best chords of a smooth curve, mm.
 LEAST_NOISE = 2e-3
 
@@ -53,7 +57,7 @@ class ScaleSettings:
     least: float = 5.0
     noise_window: float = 9.0
     deviation: float = 3.0
-    agreement: float = 1.2
+    agreement: float = 1.5
 
     def __post_init__(self) -> None:
         if not 0.0 < 5.0 * self.spacing <= self.least <= self.noise_window:
@@ -135,12 +139,33 @@ def curvature_at_scale(points: ArrayLike, settings: ScaleSettings | None = None)
     least = max(round(settings.least / spacing), 5)
     middling = min(max(round(settings.noise_window / spacing), least), len(line) - 1)
     noise, inflation = noise_of(line, middling + 1)
+    _, _, scale = longest_windows(line, least, noise, inflation, settings.agreement)
+    usual = int(np.median(scale))
+    if usual > middling:
+        # Longer windows know the noise better; but where all of them hold a misfit it is no noise.
+        noise = min(max(noise, noise_of(line, usual + 1)[0]), MOST_NOISE * noise)
+    curvature, error, scale = longest_windows(line, least, noise, inflation, settings.agreement)
+    width = settings.deviation * error
+    return ScaledCurvature(
+        arc_length=s,
+        curvature=curvature,
+        low=np.maximum(curvature - width, 0.0),
+        high=curvature + width,
+        scale=scale * spacing,
+        noise=noise,
+    )
+
+
+def longest_windows(
+    line: FloatArray, least: int, noise: float, inflation: float, agreement: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Curvature, its standard error and the length in steps of the longest window that holds around each place, (n,) each."""
     sizes = [least]
     while sizes[-1] < len(line) - 1:
         sizes.append(min(max(int(GROWTH * sizes[-1]), sizes[-1] + 1), len(line) - 1))
     curvature, error, scale = np.zeros(len(line)), np.full(len(line), np.inf), np.zeros(len(line))
     for size in sizes:
-        kappa, spread, holds = fitted_windows(line, size + 1, noise, inflation, settings.agreement)
+        kappa, spread, holds = fitted_windows(line, size + 1, noise, inflation, agreement)
         if size == least:
             holds = np.ones_like(holds)  # there is nothing shorter to fall back on
         elif not holds.any():
@@ -154,24 +179,16 @@ def curvature_at_scale(points: ArrayLike, settings: ScaleSettings | None = None)
         chosen = np.where(np.abs(middle[left] - place) < np.abs(middle[right] - place), left, right)
         start = starts[chosen]
         inside = (start <= place) & (place <= start + size)
-        curvature[inside], error[inside], scale[inside] = kappa[start[inside]], spread[start[inside]], size * spacing
-    width = settings.deviation * error
-    return ScaledCurvature(
-        arc_length=s,
-        curvature=curvature,
-        low=np.maximum(curvature - width, 0.0),
-        high=curvature + width,
-        scale=scale,
-        noise=noise,
-    )
+        curvature[inside], error[inside], scale[inside] = kappa[start[inside]], spread[start[inside]], size
+    return curvature, error, scale
 
 
 def noise_of(line: FloatArray, count: int) -> tuple[float, float]:
     """Standard deviation of the noise in one coordinate, mm, and by how much its correlation inflates variances."""
     _, _, residuals = fit_arcs(sliding_window_view(line, count, axis=0).transpose(0, 2, 1))
-    # Windows across a change of bend fit badly: the best quarter of them tells the noise.
+    # Windows across a change of bend fit badly: the better ones tell the noise.
     variance = np.einsum("nki,nki->n", residuals, residuals) / (2 * count - 5)
-    quarter = float(np.quantile(variance, 0.25))
+    typical = float(np.quantile(variance, BETTER))
     better = variance <= np.quantile(variance, 0.5)
     chosen = residuals[better]
     energy = float(np.einsum("nki,nki->", chosen, chosen))
@@ -184,7 +201,7 @@ def noise_of(line: FloatArray, count: int) -> tuple[float, float]:
     # The same loss makes the residuals of correlated noise too small.
     share = max(1.0 - 2.5 * inflation / count, 0.2) / (1.0 - 2.5 / count)
     freedom = max((2 * count - 5) / inflation, 2.0)
-    return float(np.sqrt(quarter / (2.0 * gammaincinv(0.5 * freedom, 0.25) / freedom) / share)), inflation
+    return float(np.sqrt(typical / (2.0 * gammaincinv(0.5 * freedom, BETTER) / freedom) / share)), inflation
 
 
 def fitted_windows(
