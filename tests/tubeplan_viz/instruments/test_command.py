@@ -1,0 +1,109 @@
+"""tubeplan matrix: folder, table, exit status, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from reports.numbers import printed
+from segmentation.mesh_files import write_ply
+from tubeplan_viz.cli.app import status_of
+from tubeplan_viz.instruments import MatrixError, validate_matrix
+
+CATALOGUE = """
+[[instrument]]
+name = "thin <b>"
+kind = "test"
+outer_diameter_mm = 1.0
+bend_radius_min_mm = 6.0
+rigid_tip_mm = 3.0
+[[instrument]]
+name = "far too thick"
+kind = "test"
+outer_diameter_mm = 20.0
+bend_radius_min_mm = 6.0
+"""
+
+
+@pytest.fixture(scope="module")
+def made(fork: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
+    place = tmp_path_factory.mktemp("matrix")
+    write_ply(fork.surface, place / "fork.ply")
+    (place / "mine.toml").write_text(CATALOGUE, encoding="utf-8")
+    arguments = ["matrix", "--mesh", str(place / "fork.ply"), "--catalogue", str(place / "mine.toml"), "--goals", "all", "-q"]
+    return place, status_of([*arguments, "-o", str(place / "out")])
+
+
+def test_the_folder_is_whole_and_its_document_follows_the_schema(made: tuple[Path, int]) -> None:
+    place, status = made
+    assert status == 3
+    names = {entry.name for entry in (place / "out").iterdir()}
+    assert names == {"matrix.json", "matrix.csv", "report.html", "recording.rrd", "mesh.ply"}
+    document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
+    validate_matrix(document)
+    assert [row[0]["verdict"] for row in document["cells"]] == ["feasible", "impossible"]
+    with (place / "out" / "matrix.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * len(document["targets"])
+    assert float(rows[0]["margin_mm"]) == pytest.approx(document["cells"][0][0]["margin_mm"], abs=1e-4)  # printed with four
+    text = "".join((place / "out" / name).read_text(encoding="utf-8") for name in ("matrix.json", "matrix.csv", "report.html"))
+    assert str(place) not in text
+
+
+def test_the_page_prints_every_margin_and_escapes_names(made: tuple[Path, int]) -> None:
+    place, _ = made
+    document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
+    page = (place / "out" / "report.html").read_text(encoding="utf-8")
+    for i, row in enumerate(document["cells"]):
+        for j, cell in enumerate(row):
+            shown = f'data-key="cells.{i}.{j}.margin_mm">{printed(cell["margin_mm"], 2, signed=True)}</data>'
+            assert shown in page
+    assert "thin <b>" not in page.split("<body")[1].split("<script")[0]
+    assert "thin &lt;b&gt;" in page
+
+
+def test_a_document_that_contradicts_itself_is_refused(made: tuple[Path, int]) -> None:
+    place, _ = made
+    document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
+    document["cells"].pop()
+    with pytest.raises(MatrixError, match="1 rows of"):
+        validate_matrix(document)
+    document["cells"].append([{"verdict": "perhaps"}])
+    with pytest.raises(MatrixError, match=r"at cells\.1\.0"):
+        validate_matrix(document)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--goals", "E9,E2"], "the lumen has no end point E9"),
+        (["--goals", "E1"], "the goal E1 is the start"),
+        (["--clearance-min", "1"], "--clearance-min does not apply here"),
+        (["--goal", "E2"], "--goal does not apply here"),
+        (["--catalogue", "none.toml"], "none.toml: no such catalogue file"),
+        (["--before-start", "-1"], "before_start_mm is -1"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_leaves_nothing(
+    made: tuple[Path, int], more: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place, _ = made
+    assert status_of(["matrix", "--mesh", str(place / "fork.ply"), "-q", "-o", str(place / "bad"), *more]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not (place / "bad").exists()
+
+
+def test_nothing_reachable_ends_with_four_and_json_parses(made: tuple[Path, int], capsys: pytest.CaptureFixture[str]) -> None:
+    place, _ = made
+    (place / "thick.toml").write_text("[[instrument]]" + CATALOGUE.split("[[instrument]]")[2], encoding="utf-8")
+    arguments = ["matrix", "--mesh", str(place / "fork.ply"), "--catalogue", str(place / "thick.toml"), "--no-recording"]
+    assert status_of([*arguments, "--no-report", "--json", "-o", str(place / "none")]) == 4
+    told = json.loads(capsys.readouterr().out)
+    assert told["status"] == "infeasible"
+    assert told["files"] == ["matrix.csv", "matrix.json", "mesh.ply"]
