@@ -17,7 +17,7 @@ from reports.tables import DASH, or_dash
 from segmentation.arrays import FloatArray
 
 WORDS = {"ok": "Holds", "flagged": "Flagged", "infeasible": "No path"}
-VIEW_SIZE = 420
+VIEW_SIZE = 560  # px of the longest side of all drawings together; they share one scale
 PLACES = 2
 MISPRINT = (
     "In Zhao et al. (2013), table 2, the printed lengths and angles of RL and LRL miss the target by 6.8 mm and 3.8 mm with the "
@@ -276,6 +276,7 @@ def _scatter(points: FloatArray, exact: Any) -> Markup:
 def _view(result: Mapping[str, Any], axes: tuple[int, int]) -> Markup:
     """Path and obstacles projected onto two axes; the second runs downwards."""
     details, path = result["details"], result["path"]
+    safety = result["limits"]["clearance_min_mm"]
     ends = np.array([details["entry_mm"], details["target_mm"]], float)
     lines = [("needle-form", np.array(f["points_mm"], float)) for f in details.get("forms", ()) if f["feasible"]]
     if path is not None:
@@ -291,16 +292,17 @@ def _view(result: Mapping[str, Any], axes: tuple[int, int]) -> Markup:
             *(c for c, r in bodies if r < 0),
         ]
     )
-    flat = extent[:, list(axes)]
-    low, high = flat.min(axis=0) - 6.0, flat.max(axis=0) + 6.0
+    room = 6.0 + safety
+    low, high = extent.min(axis=0) - room, extent.max(axis=0) + room
     scale = VIEW_SIZE / float(max(high - low))
+    low, high = low[list(axes)], high[list(axes)]
+    low, high = np.minimum(low, 0.5 * (low + high) - 20.0), np.maximum(high, 0.5 * (low + high) + 20.0)
     size = (high - low) * scale
 
     def spot(points: FloatArray) -> FloatArray:
         return (np.atleast_2d(points)[:, list(axes)] - low) * scale
 
     drawn: list[Markup] = []
-    safety = result["limits"]["clearance_min_mm"]
     for body, (centers, radius) in zip(details.get("obstacles", ()), bodies, strict=True):
         if body["kind"] in ("sphere", "circle"):
             x, y = spot(centers)[0]
@@ -310,8 +312,8 @@ def _view(result: Mapping[str, Any], axes: tuple[int, int]) -> Markup:
             closed = "Z" if body["kind"] == "polygon" else ""
             width = 2 * max(radius, 0.0) * scale
             drawn.append(
-                Markup('<path class="needle-body" d="{}" style="stroke-width:{:.1f};stroke-opacity:.4"/>').format(
-                    _way(spot(centers)) + closed, max(width, 1.0)
+                Markup('<path class="needle-body" d="{}" style="stroke-width:{:.1f};stroke-opacity:.4{}"/>').format(
+                    _way(spot(centers)) + closed, max(width, 1.0), "" if closed else ";fill:none;stroke-linecap:round"
                 )
             )
     for name, line in lines:
@@ -326,9 +328,9 @@ def _view(result: Mapping[str, Any], axes: tuple[int, int]) -> Markup:
             '<path class="needle-path" d="M8 {0:.1f}h{1:.1f}"/><text class="needle-words" x="8" y="{2:.1f}">10 mm</text>'
         ).format(size[1] - 8, bar, size[1] - 13)
     )
-    return Markup('<svg viewBox="0 0 {:.0f} {:.0f}" role="img" aria-label="Path and obstacles">{}</svg>').format(
-        size[0], size[1], Markup("").join(drawn)
-    )
+    return Markup(
+        '<svg width="{0:.0f}" viewBox="0 0 {0:.0f} {1:.0f}" role="img" aria-label="Path and obstacles">{2}</svg>'
+    ).format(size[0], size[1], Markup("").join(drawn))
 
 
 def _outline(body: Mapping[str, Any]) -> tuple[FloatArray, float]:

@@ -3,10 +3,17 @@
 from collections.abc import Callable
 
 from tubeplan_viz.bench.centerline import centerline
+from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
 from tubeplan_viz.bench.rows import Row
 
-BENCHMARKS: dict[str, Callable[..., list[Row]]] = {"paper": paper, "centerline": centerline, "optimal": optimal}
+BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
+    "paper": paper,
+    "centerline": centerline,
+    "optimal": optimal,
+    "needle2d": needle2d,
+    "needle3d": needle3d,
+}
 
 __all__ = ["BENCHMARKS", "Row"]

@@ -11,6 +11,7 @@ Source: Huo et al. (2015), Robot 37(4), section 4.2, which replans from the pose
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -92,13 +93,13 @@ class InsertionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Replan:
-    """One change of plan: where, why, what came of it, and the path then expected: its whole length and its miss, mm."""
+    """One change of plan: where, mm, why, what came of it, the whole path then expected, mm, and the time it took, s."""
 
     at: float
     cause: str
     found: bool
     length: float
-    controls: Controls | None
+    seconds: float
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -210,13 +211,15 @@ def insert(
             problem = applied(problem, event)
             causes.append(event.cause)
         here = state.believed(known)
+        scene_changed = bool(causes)
         if not causes and misses(problem, here, rest, known) > settings.tolerance and rest.length > LAST_MM:
             causes.append(Event(at=0.0, kappa=kappa).cause)
         if causes:
-            made = renewed(problem, here, rest, known)
-            replans.append(
-                Replan(state.depth, " and ".join(causes), made is not None, state.depth + (made.length if made else 0.0), made)
-            )
+            begun_at = time.perf_counter()
+            made = renewed(problem, here, rest, known, changed=scene_changed)
+            spent = time.perf_counter() - begun_at
+            expected = state.depth + (made.length if made is not None else 0.0)
+            replans.append(Replan(state.depth, " and ".join(causes), made is not None, expected, spent))
             if made is None and not (still_fine(problem, here, rest, known) and rest.length < 4.0 * LAST_MM):
                 withdrawn = (
                     f"at {state.depth:.1f} mm {' and '.join(causes)}, and no path from there was found: withdraw the needle"
@@ -312,8 +315,10 @@ class _State:
             now = self.tips(value)
             slope = (self.tips(value + 1e-6) - now).ravel() / 1e-6 / sigma
             off = (measured - now).ravel() / sigma
-            value += float((slope @ off + (1.0 - value) / PRIOR**2) / (slope @ slope + 1.0 / PRIOR**2))
-            value = float(np.clip(value, 0.3, 3.0))
+            change = float((slope @ off + (1.0 - value) / PRIOR**2) / (slope @ slope + 1.0 / PRIOR**2))
+            value = float(np.clip(value + change, 0.3, 3.0))
+            if abs(change) < 1e-10:
+                break
         return value
 
     def controls(self) -> Controls:
@@ -335,17 +340,18 @@ def still_fine(problem: SpatialProblem, here: Pose, rest: Controls, ratio: float
     return bool(problem.scene.least_distance(push(here, bent(rest, ratio))).min() >= problem.settings.safety)
 
 
-def renewed(problem: SpatialProblem, here: Pose, rest: Controls, ratio: float) -> Controls | None:
+def renewed(problem: SpatialProblem, here: Pose, rest: Controls, ratio: float, *, changed: bool) -> Controls | None:
     """The rest mended, or planned anew, in controls of the model; None if there is no path.
 
-    The needle that is planned for is the one believed in: curvature times `ratio`.
+    The needle that is planned for is the one believed in: curvature times `ratio`. `changed` says that an obstacle or the
+    target has moved.
     """
     settings = replace(problem.settings, kappa=problem.settings.kappa * ratio)
     left = replace(problem, pose=here, settings=settings, under_way=True)
     if left.distance < LAST_MM:
         return None
-    # The present controls mended are the least change; other ways are tried only where that fails.
-    x = mended(left, [padded(left, bent(rest, ratio))])
+    # The present controls mended are the least change; where the scene has changed, other ways may be shorter now.
+    x = mended(left, [padded(left, bent(rest, ratio)), *(best_starts(left, 1) if changed else [])])
     if x is None:
         x = mended(left, best_starts(left, 3))
     if x is not None:

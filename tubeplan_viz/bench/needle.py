@@ -1,0 +1,182 @@
+"""tubeplan bench needle2d and needle3d: the papers' cases, optima against a grid, success over seeds, replanning."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from segmentation.arrays import FloatArray
+from tubeplan_viz.bench.needle_scenes import SCENES, TARGETS, columns, planar, replanned, scattered
+from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.needle.kinematics import insertion_pose, push
+from tubeplan_viz.needle.obstacles import Scene, Sphere
+from tubeplan_viz.needle.planar import PlanarProblem, PlanarSettings, best, close, plan_planar, sides_of, weigh
+from tubeplan_viz.needle.replan import insert, monte_carlo
+from tubeplan_viz.needle.spatial import SpatialProblem
+from tubeplan_viz.needle.swarm import plan_spatial
+from tubeplan_viz.needle_case import NeedleCase, make_needle_case
+from tubeplan_viz.needle_run import event_of, load_scene
+from tubeplan_viz.pipeline import Notify, silent
+
+ZHAO, HUO = "Zhao et al. 2013, table 2", "Huo et al. 2015"
+GRID = {1: 4000, 2: 160}  # lengths along each free axis
+
+
+def needle2d(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
+    """The planar case and random scenes; targets of the paper's cases and of the grid's optima."""
+    free = flat_problem(make_needle_case(planar(obstacles=False)))
+    line = best(plan_planar(free))
+    assert line is not None
+    exact = float(np.hypot(30.0, 90.0))
+    rows = [
+        Row(case="no obstacle", figure="length, mm", ours=line.length, reference=94.7683, source=ZHAO, target="94.8683 exact",
+            holds=abs(line.length - exact) < 1e-9),
+        Row(case="no obstacle", figure="angle, degrees", ours=float(np.degrees(line.angle)), reference=-18.4378, source=ZHAO,
+            target="-18.4349 exact", holds=abs(np.degrees(line.angle) + np.degrees(np.arctan2(30.0, 90.0))) < 1e-9),
+    ]  # fmt: skip
+    case = flat_problem(make_needle_case(planar()))
+    plan_planar(case)  # what is imported on first use is not the planner's time
+    begun = time.perf_counter()
+    paths = plan_planar(case)
+    spent = time.perf_counter() - begun
+    printed = {"RL": 93.72, "LRL": 92.79}
+    for path in paths:
+        if path.degree == 1:
+            continue
+        source = ZHAO if path.form in printed else ""
+        holds = path.feasible and path.tip_error < 1e-6
+        figure, target = f"{path.form} length, mm", "tip within 1e-6 mm, clear"
+        known = printed.get(path.form)
+        rows.append(
+            Row(case="three circles", figure=figure, ours=path.length, reference=known, source=source, target=target, holds=holds)
+        )
+    rows.append(Row(case="three circles", figure="all forms, s", ours=spent, target="under 1", holds=spent < 1.0))
+    count = 20 if quick else 200
+    worst, missed = 0.0, 0
+    rng = np.random.default_rng(2013)
+    for k in range(count):
+        notify("random scenes", k, count)
+        problem = random_scene(rng)
+        for path in plan_planar(problem):
+            least = grid_length(problem, path.form)
+            if np.isfinite(least):
+                missed += not path.feasible
+                worst = max(worst, path.length / least - 1.0) if path.feasible else worst
+    told = f"{count} random scenes, forms up to 3 pieces"
+    rows.append(Row(case=told, figure="longest over the grid, %", ours=100.0 * worst, target="at most 0.1", holds=worst <= 1e-3))
+    rows.append(Row(case=told, figure="forms missed", ours=float(missed), target="none", holds=missed == 0))
+    return rows
+
+
+def flat_problem(case: NeedleCase) -> PlanarProblem:
+    """A planar case posed."""
+    return PlanarProblem(np.array(case.entry), np.array(case.target), load_scene(case)[0], case.planar)
+
+
+def random_scene(rng: np.random.Generator) -> PlanarProblem:
+    """Four circles between the entry and a target at a depth of 95 mm, forms up to three pieces."""
+    bodies = tuple(
+        Sphere(np.array([0.0, rng.uniform(-30, 30), rng.uniform(25, 70)]), float(rng.uniform(4, 11)), "circle") for _ in range(4)
+    )
+    target = np.array([rng.uniform(-15, 15), 95.0])
+    return PlanarProblem(np.zeros(2), target, Scene(bodies), PlanarSettings(safety=1.5, degree_max=3))
+
+
+def grid_length(problem: PlanarProblem, form: str) -> float:
+    """Length of the shortest feasible path of a form on a dense grid, mm; infinite without one."""
+    least = np.inf
+    for sides in sides_of(form):
+        if len(sides) == 1:
+            free: FloatArray = np.zeros((1, 0))
+        else:
+            axes = [np.linspace(1.0, 1.3 * problem.distance, GRID[len(sides) - 1])] * (len(sides) - 1)
+            free = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(sides) - 1)
+        shapes = close(problem, free, np.array(sides, dtype=float))
+        order = np.argsort(shapes.costs, kind="stable")
+        for first in range(0, len(order), 4096):  # cheapest first: the first feasible one is the least
+            rows = order[first : first + 4096]
+            if not shapes.costs[rows[0]] < least:
+                break
+            found = float(weigh(problem, shapes.take(rows))[0].min())
+            if np.isfinite(found):
+                least = min(least, found)
+                break
+    return least
+
+
+def needle3d(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
+    """Nine targets and ten seeds in each scene, the three cases of replanning, and a Monte Carlo run."""
+    rows: list[Row] = []
+    seeds = 2 if quick else 10
+    for name, table in (("scene 1", scattered()), ("scene 2", columns())):
+        rows.extend(success(name, make_needle_case(table), seeds, notify))
+    printed = {"obstacle": 102.59, "target": 125.27, "model": 101.39}
+    for kind, length in printed.items():
+        case = make_needle_case(replanned(kind))
+        problem = space_problem(case)
+        path = plan_spatial(problem, case.swarm, rng=np.random.default_rng(0), front=False)
+        assert path.pose is not None
+        assert path.controls is not None
+        made = insert(problem, path.pose, path.controls, tuple(event_of(event) for event in case.events))
+        spent = max(step.seconds for step in made.replans)
+        told = f"replan, {kind}"
+        done = made.withdrawn is None and made.error < 0.1
+        rows.append(Row(case=told, figure="error, mm", ours=made.error, target="under 0.1", holds=done))
+        rows.append(Row(case=told, figure="length, mm", ours=made.length, reference=length, source=f"{HUO}, 5.3"))
+        rows.append(Row(case=told, figure="longest replan, s", ours=spent, target="under 0.2", holds=spent < 0.2))
+    notify("Monte Carlo", 0, 0)
+    case = make_needle_case(SCENES["replan-model"])
+    problem = space_problem(case)
+    path = plan_spatial(problem, case.swarm, rng=np.random.default_rng(0), front=False)
+    assert path.pose is not None
+    assert path.controls is not None
+    runs = 20 if quick else 200
+    found = monte_carlo(problem, path.pose, path.controls, runs=runs, rng=np.random.default_rng(1))
+    told = f"{runs} insertions, 5 %, 0.5 mm, 3 mm"
+    middle = float(np.median(found.errors))
+    rows.append(Row(case=told, figure="median final error, mm", ours=middle, target="under 1", holds=middle < 1.0))
+    rows.append(Row(case=told, figure="touching an obstacle", ours=float(found.touched), target="none", holds=found.touched == 0))
+    rows.append(Row(case=told, figure="withdrawn", ours=float(found.withdrawn)))
+    return rows
+
+
+def space_problem(case: NeedleCase, target: tuple[float, ...] | None = None) -> SpatialProblem:
+    """A case in space posed, to its own target or another."""
+    pose = insertion_pose(case.entry, case.direction)
+    return SpatialProblem(pose, np.array(target or case.target), load_scene(case)[0], case.needle)
+
+
+def success(name: str, case: NeedleCase, seeds: int, notify: Notify) -> list[Row]:
+    """How often, how long, how fast and how near over nine targets."""
+    times, straight, reached, violated, errors = [], [], 0, 0, []
+    for k, target in enumerate(TARGETS):
+        notify(name, k, len(TARGETS))
+        problem = space_problem(case, target)
+        for seed in range(seeds):
+            begun = time.perf_counter()
+            path = plan_spatial(problem, case.swarm, rng=np.random.default_rng(seed), front=False)
+            times.append(time.perf_counter() - begun)
+            if path.pose is None or path.controls is None:
+                continue
+            reached += path.error < 1e-3
+            errors.append(path.error)
+            arcs = push(path.pose, path.controls)
+            points = arcs.points(arcs.lengths[:, None] * np.linspace(0.0, 1.0, 2001)).reshape(-1, 3)
+            violated += bool(problem.scene.distances(points).min() < case.safety)
+            if target[:2] == (0.0, 0.0):
+                straight.append(path.length)
+    total = seeds * len(TARGETS)
+    longest = max(straight, default=np.inf)
+    middle, whole = float(np.median(times)), float(np.sum(times))
+    near, most = f"{HUO}, within 0.1 mm", float(total)
+    return [
+        Row(case=name, figure=f"within 0.001 mm, of {total}", ours=float(reached), reference=most, source=near, target="all",
+            holds=reached == total),
+        Row(case=name, figure="largest error, mm", ours=max(errors, default=np.inf), reference=0.1, source=HUO),
+        Row(case=name, figure="longest to (0, 0, 100), mm", ours=longest, reference=102.03, source=HUO, target="at most 102.03",
+            holds=longest <= 102.03),
+        Row(case=name, figure="safety violations", ours=float(violated), target="none", holds=violated == 0),
+        Row(case=name, figure="median plan, s", ours=middle, target="under 0.5", holds=middle < 0.5),
+        Row(case=name, figure="all plans, s", ours=whole, target="under 60", holds=whole < 60.0),
+    ]  # fmt: skip
