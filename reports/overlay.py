@@ -62,7 +62,7 @@ def overlay_chart(spec: Overlay, width: Width, *, room: str) -> Markup:
     parts = grid((LEFT, wide - RIGHT), y, step)
     parts += path_axis(end, x, y.start, wide - LEFT - RIGHT, unit="mm" if spec.axis == "mm" else "%")
     letters = _letters(spec, x, y)
-    parts += _limits(spec, x, y, [at for at, _ in letters])
+    parts += _limits(spec, x, y, [at for at, _ in letters], short=wide < 500)
     for line in spec.lines:
         parts.append(
             tag("path", class_=f"run-line run-{line.number + 1}", d=trace(spec.along(line, line.arc), line.values, x, y))
@@ -103,7 +103,7 @@ def _value_range(spec: Overlay) -> tuple[float, float, float]:
     return math.floor(low / step) * step, math.ceil(high / step - 1e-9) * step, step
 
 
-def _limits(spec: Overlay, x: Axis, y: Axis, letters: Sequence[float]) -> list[Markup]:
+def _limits(spec: Overlay, x: Axis, y: Axis, letters: Sequence[float], *, short: bool) -> list[Markup]:
     """One line for a limit that all runs share, one per run otherwise."""
     given = [(line, line.limit) for line in spec.lines if line.limit is not None]
     parts: list[Markup] = []
@@ -111,9 +111,11 @@ def _limits(spec: Overlay, x: Axis, y: Axis, letters: Sequence[float]) -> list[M
     curves = [(spec.along(line, line.arc), line.values) for line in spec.lines]
     for limit in dict.fromkeys(limit for _, limit in given):
         holders = [line for line, own in given if own == limit]
-        least = f"least {printed(limit, 2)} mm" if spec.kind == "clearance" else f"at most {printed(limit, 3)} 1/mm"
+        figure = f"{printed(limit, 2)} mm" if spec.kind == "clearance" else f"{printed(limit, 3)} 1/mm"
+        bound = "least" if spec.kind == "clearance" else "at most"
         everybody = len(holders) == len(spec.lines)
-        words = least if everybody else f"{', '.join(line.label for line in holders)}: {least}"
+        whose = "" if everybody else f"{', '.join(line.label for line in holders)}: "
+        words = f"{whose}{figure}" if short and whose else f"{whose}{bound} {figure}"
         level = y(limit)
         parts.append(tag("line", class_="limit", x1=x.start, x2=x.end, y1=level, y2=level))
         across = np.linspace(x.low, x.high, 200)

@@ -64,3 +64,11 @@ def test_the_address_is_printed_and_ctrl_c_ends_the_view_without_a_trace(
     assert "Traceback" not in err
     assert "view ended" in err
     assert list(private.iterdir()) == []  # the viewer's home is gone
+
+
+def test_a_comparison_has_a_recording_to_view_too(made_runs: Path, tmp_path: Path) -> None:
+    from tubeplan_viz.cli.view import recording_of
+    from tubeplan_viz.compare import compare_folders
+
+    compare_folders([made_runs / "clean", made_runs / "flagged"], tmp_path / "both", report=False)
+    assert recording_of(tmp_path / "both") == tmp_path / "both" / "recording.rrd"
