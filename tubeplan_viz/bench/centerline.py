@@ -137,7 +137,7 @@ def method_rows(trial: Trial, method: str) -> list[Row]:
         whole = time.perf_counter() - begun
         if done.returncode != 0:
             reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return [Row(case=case, figure="failed (exit status)", ours=float(done.returncode), source=reason[:80])]
+            return [Row(case=case, figure="failed (exit status)", ours=float(done.returncode), source=reason[:200])]
         with np.load(out) as found:
             points, cold, warm, peak = found["points"], float(found["cold"]), float(found["warm"]), float(found["peak"])
     gap = trial.interior_gap(points)

@@ -47,8 +47,11 @@ def oriented_samples(surface: Surface, spacing: float) -> tuple[FloatArray, Floa
     used[faces] = True
     points, directions = [surface.vertices[used]], [sums[used]]
     while len(corners):
-        edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-        long = edges.max(axis=1) > spacing
+        square = np.zeros(len(corners))
+        for one, other in ((0, 1), (1, 2), (2, 0)):
+            edge = corners[:, one] - corners[:, other]
+            square = np.maximum(square, np.einsum("ij,ij->i", edge, edge))
+        long = square > spacing**2
         corners, normals = corners[long], normals[long]
         if not len(corners):
             break

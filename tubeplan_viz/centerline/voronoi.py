@@ -143,10 +143,12 @@ def lies_inside(
     which has no samples. Only the others, most of them close to the wall against the spacing of
     the samples, need the winding number, which costs twenty times as much.
     """
-    offset = centers[:, None] - sites[simplices]  # (m, 4, 3)
-    cosine = np.einsum("ijk,ijk->ij", offset, normals[simplices]) / radii[:, None]
-    inside = np.all(cosine < -CLEAR_COSINE, axis=1)
-    doubtful = ~inside & ~np.all(cosine > CLEAR_COSINE, axis=1)
+    inside, outside = np.ones(len(centers), dtype=bool), np.ones(len(centers), dtype=bool)
+    for corner in simplices.T:
+        cosine = np.einsum("ij,ij->i", centers - sites[corner], normals[corner]) / radii
+        inside &= cosine < -CLEAR_COSINE
+        outside &= cosine > CLEAR_COSINE
+    doubtful = ~inside & ~outside
     if wall.surface.caps:
         sure = np.flatnonzero(inside)
         tree = cKDTree(centers[sure])
