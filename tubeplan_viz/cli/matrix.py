@@ -27,9 +27,7 @@ def matrix(
     given: dict[str, dict[str, Any]],
     goals: Annotated[str, typer.Option("--goals", help="Labels of `tubeplan endpoints`, comma-separated, or all.")] = "all",
     catalogue: Annotated[Path | None, typer.Option("--catalogue", help="TOML file of instruments [typical ones].")] = None,
-    before_start: Annotated[
-        float, typer.Option("--before-start", help="Instrument used up before the start, mm.")
-    ] = 0.0,
+    before_start: Annotated[float, typer.Option("--before-start", help="Instrument used up before the start, mm.")] = 0.0,
     output: Output = Path("matrix"),
     force: Force = False,
     no_recording: NoRecording = False,
