@@ -86,12 +86,12 @@ def make_needle_page(case_id: str, result: Mapping[str, Any]) -> NeedlePage:
     charts = workspace.profiles(course, source, {}) if course is not None else {}
     units = {"clearance": "mm from the path to the nearest obstacle", "curvature": "1/mm"}
     tables = (_forms(source), _controls(source), _front(source), _insertion(source), _obstacles(source))
-    views = [("In the plane: y to the right, depth z downwards", (1, 2))]
+    views = [("In the plane: y to the right, z downwards", (1, 2))]
     if not flat:
         views = [
-            ("From the side: x, depth z downwards", (0, 2)),
-            ("From the front: y, depth z downwards", (1, 2)),
-            ("Along z: x, y", (0, 1)),
+            ("x to the right, z downwards", (0, 2)),
+            ("y to the right, z downwards", (1, 2)),
+            ("x to the right, y downwards", (0, 1)),
         ]
     forms = sum(form["feasible"] for form in details.get("forms", ()))
     shown = f"The chosen path and the other {forms - 1} feasible forms." if forms > 1 else "The planned path."
@@ -106,7 +106,7 @@ def make_needle_page(case_id: str, result: Mapping[str, Any]) -> NeedlePage:
         lead=_lead(source, status),
         warnings=tuple(str(text) for text in details.get("warnings") or ()),
         keys=_keys(source),
-        views_line=f"{shown}{pushed} Dashed rings: the safety distance around obstacles.",
+        views_line=f"{shown}{pushed} Dashed rings: the safety distance around obstacles. Dots: the rim of obstacles from files.",
         views=tuple(Drawing(title, _view(result, axes)) for title, axes in views),
         charts=tuple(
             Drawing(kind.capitalize(), charts[kind], units[kind]) for kind in ("clearance", "curvature") if kind in charts
@@ -316,6 +316,9 @@ def _view(result: Mapping[str, Any], axes: tuple[int, int]) -> Markup:
                     _way(spot(centers)) + closed, max(width, 1.0), "" if closed else ";fill:none;stroke-linecap:round"
                 )
             )
+        for x, y in spot(np.array(body["outline_mm"], float)) if body.get("outline_mm") else ():
+            if 0.0 <= x <= size[0] and 0.0 <= y <= size[1]:
+                drawn.append(Markup('<circle class="needle-rim" cx="{:.1f}" cy="{:.1f}" r="1.5"/>').format(x, y))
     for name, line in lines:
         drawn.append(Markup('<path class="{}" d="{}"/>').format(name, _way(spot(line))))
     for place, word in zip(ends, ("entry", "target"), strict=True):

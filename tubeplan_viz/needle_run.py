@@ -32,6 +32,7 @@ from tubeplan_viz.result import CSV_COLUMNS, Provenance, RunFolder, assemble_res
 SPACING = 0.2  # mm; spec 0.4 asks for at most 0.25
 FORM_SPACING = 2.0  # of the paths of forms and of the Pareto front, which are drawn only
 ROUNDS_KEPT = 150
+OUTLINE_POINTS = 1500
 CORRIDOR_MM = 60.0  # how far around the straight way a label volume is searched for obstacles
 
 
@@ -276,8 +277,8 @@ def planned_in_space(case: NeedleCase, scene: Scene, progress: Any, stream: Need
     }
     if found.controls is None or found.pose is None:
         return Outcome(pose=None, controls=None, clearances=None, reason=found.reason, details=details, metrics={})
-    reason = None
-    if case.events:
+    reason = unknown_ground(push(found.pose, found.controls), scene)
+    if case.events and reason is None:
         made = insert(problem, found.pose, found.controls, tuple(event_of(event) for event in case.events))
         details["insertion"] = insertion_details(made)
         reason = made.withdrawn
@@ -289,6 +290,17 @@ def planned_in_space(case: NeedleCase, scene: Scene, progress: Any, stream: Need
         details=details,
         metrics={"tip_error_mm": found.error, "danger": found.danger},
     )
+
+
+def unknown_ground(arcs: Arcs, scene: Scene) -> str | None:
+    """Why a path cannot count: it leaves the part of a label volume that is known; None if it does not."""
+    points = sampled(arcs, SPACING)[1]
+    for k, body in enumerate(scene.obstacles):
+        if isinstance(body, MaskObstacle):
+            index = body.volume.to_index(points)
+            if (index < -0.5).any() or (index > np.array(body.volume.voxels.shape) - 0.5).any():
+                return f"the best path leaves the part of obstacle {k + 1}'s label volume around entry and target; nothing is known there"
+    return None
 
 
 def cloud_paths(problem: SpatialProblem, cloud: FloatArray) -> list[FloatArray]:
@@ -421,8 +433,20 @@ def obstacle_details(given: ObstacleCase, body: Obstacle) -> dict[str, Any]:
         "file": None if given.file is None else given.file.name,
         "hu_min": given.hu_min,
         "distance_bound_mm": body.bound if isinstance(body, MaskObstacle) else None,
+        "outline_mm": outline(body),
     }
     return {key: value for key, value in told.items() if value is not None}
+
+
+def outline(body: Obstacle) -> FloatArray | None:
+    """Some points of the rim of an obstacle that came from a file, for drawings, (k, 3) mm; None for others."""
+    if isinstance(body, MaskObstacle):
+        points = body.rim()
+    elif isinstance(body, MeshObstacle):
+        points = np.asarray(body.surface.vertices)
+    else:
+        return None
+    return np.round(points[:: max(1, len(points) // OUTLINE_POINTS)], 2)
 
 
 def path_table(result: Mapping[str, Any], outcome: Outcome) -> str:

@@ -432,8 +432,8 @@ def finished(problem: PlanarProblem, form: str, shape: Shapes, tried: int) -> Pl
         return PlanarPath(
             form=form,
             tried=tried,
-            reason=f"none of {tried} paths of this form that end at the target keeps {s.safety:g} mm from all obstacles; "
-            f"the best comes to {gaps[worst]:.2f} mm from obstacle {worst + 1} ({problem.scene.obstacles[worst].kind})",
+            reason=f"every path of this form that ends at the target ({tried} tried) comes nearer than {s.safety:g} mm to an "
+            f"obstacle; the best comes to {gaps[worst]:.2f} mm from obstacle {worst + 1} ({problem.scene.obstacles[worst].kind})",
         )
     risk = float(danger(gaps, s.safety)) if len(gaps) else 0.0
     risk = risk if np.isfinite(risk) else float(danger(np.maximum(gaps, s.safety), s.safety))

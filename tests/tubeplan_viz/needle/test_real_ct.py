@@ -1,0 +1,73 @@
+"""A needle between the ribs of a real CT: bone as the obstacle, an honest plan that the verifier agrees with."""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from segmentation.images import read_ct
+from tubeplan_viz.cli.app import status_of
+from tubeplan_viz.verify import verify_run
+
+ARCHIVE = Path(__file__).resolve().parents[4] / "shared" / "data" / "cmb_crc_chest_ct" / "dicom_original.tar.xz"
+CASE = """
+[input]
+case_id = "chest-needle"
+[planner]
+name = "needle3d"
+[needle3d]
+frame = "LPS"
+entry = [-188.0, 10.9, -139.0]
+direction = [1.0, 0.0, 0.0]
+target = [{target}, 10.9, -139.0]
+kappa = 0.01
+safety_mm = 1.5
+entry_radius_mm = 12.0
+cone_deg = 20.0
+restarts = 2
+rounds = 300
+[[obstacles]]
+kind = "mask"
+file = "ct"
+hu_min = 180
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not ARCHIVE.exists():
+        pytest.skip("the shared CT data does not stand beside the repository")
+    place = tmp_path_factory.mktemp("chest")
+    with tarfile.open(ARCHIVE) as archive:
+        archive.extractall(place / "all", filter="data")
+    next((place / "all").iterdir()).rename(place / "ct")
+    return place
+
+
+def test_a_path_between_the_ribs_keeps_its_distance_from_every_voxel_of_bone(folder: Path) -> None:
+    (folder / "case.toml").write_text(CASE.format(target=-107.5), encoding="utf-8")
+    assert status_of(["run", str(folder / "case.toml"), "-o", str(folder / "run"), "--quiet", "--no-recording"]) == 0
+    result = json.loads((folder / "run" / "result.json").read_text(encoding="utf-8"))
+    volume = read_ct(folder / "ct").volume
+    bone = volume.to_lps(np.argwhere(np.asarray(volume.voxels) >= 180))
+    points = np.array(result["path"]["points_mm"])
+    # Centres of voxels are half a diagonal from the farthest corner of their boxes.
+    assert cKDTree(bone).query(points)[0].min() >= 1.5
+    assert np.linalg.norm(points[-1] - [-107.5, 10.9, -139.0]) < 1e-3
+    assert [check.name for check in verify_run(folder / "run").faults] == []
+
+
+def test_a_target_in_bone_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    volume = read_ct(folder / "ct").volume
+    index = np.round(volume.to_index([-188.0, 10.9, -139.0])).astype(int)
+    along = np.asarray(volume.voxels)[index[0], index[1], index[2] :]
+    bone = volume.to_lps([*index[:2], index[2] + int(np.argmax(along >= 180))])
+    (folder / "bone.toml").write_text(CASE.format(target=bone[0]), encoding="utf-8")
+    assert status_of(["run", str(folder / "bone.toml"), "-o", str(folder / "bone"), "--quiet"]) == 2
+    assert "from obstacle 1 (mask), expected at least safety_mm" in capsys.readouterr().err
+    assert not (folder / "bone").exists()
