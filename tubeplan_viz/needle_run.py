@@ -299,7 +299,8 @@ def unknown_ground(arcs: Arcs, scene: Scene) -> str | None:
         if isinstance(body, MaskObstacle):
             index = body.volume.to_index(points)
             if (index < -0.5).any() or (index > np.array(body.volume.voxels.shape) - 0.5).any():
-                return f"the best path leaves the part of obstacle {k + 1}'s label volume around entry and target; nothing is known there"
+                where = f"obstacle {k + 1}'s label volume, or its part around entry and target"
+                return f"the best path leaves {where}; nothing is known there"
     return None
 
 

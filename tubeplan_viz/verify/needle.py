@@ -45,11 +45,12 @@ def check_needle(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
         return
     own = case.get(result["planner"]["name"], {})
     yield from check_asked(own, result)
-    s, points = integrated(result)
+    s, points = integrated(result, result["details"]["controls"])
     yield from check_points(result, s, points)
     yield from check_tip(own, result, points)
     yield from check_bends(result)
     yield from check_distances(folder, case, result, s, points)
+    yield from check_insertion(result)
     yield from check_files(folder, result)
     page = folder / "report.html"
     if page.exists():
@@ -103,12 +104,12 @@ def check_asked(own: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[C
     )
 
 
-def integrated(result: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+def integrated(result: Mapping[str, Any], controls: list[dict[str, float]]) -> tuple[FloatArray, FloatArray]:
     """Arc lengths (n,), mm, and tips (n, 3), mm, by integrating the controls from the entry, `STEP_MM` apart or less."""
     details = result["details"]
     position, frame = np.array(details["entry_mm"], float), np.array(details["entry_frame"], float)
     s, points, done = [0.0], [position], 0.0
-    for control in details["controls"]:
+    for control in controls:
         c, si = np.cos(control["turn_rad"]), np.sin(control["turn_rad"])
         frame = frame @ np.array([[c, -si, 0.0], [si, c, 0.0], [0.0, 0.0, 1.0]])
         length, k = control["length_mm"], control["curvature_per_mm"]
@@ -186,6 +187,22 @@ def check_tip(own: Mapping[str, Any], result: Mapping[str, Any], points: FloatAr
         found=f"{tilt:.4f} degrees",
         expected=f"at most {limit:g} degrees",
         text="The needle goes in along a direction that the case allows.",
+    )
+
+
+def check_insertion(result: Mapping[str, Any]) -> Iterator[Check]:
+    """What was pushed in the simulated insertion ends where it is said to end."""
+    insertion = result["details"].get("insertion")
+    if insertion is None or not insertion["controls"]:
+        return
+    s, points = integrated(result, insertion["controls"])
+    error = float(np.linalg.norm(points[-1] - np.array(insertion["target_mm"], float)))
+    yield Check(
+        name="insertion: tip and length",
+        ok=abs(error - insertion["error_mm"]) <= SAME_MM and abs(s[-1] - insertion["length_mm"]) <= SAME_MM,
+        found=f"stated {insertion['error_mm']:.6g} mm from the target after {insertion['length_mm']:.4f} mm",
+        expected=f"{error:.6g} mm after {s[-1]:.4f} mm",
+        text="The pushes of the insertion, integrated, end where the result says.",
     )
 
 
