@@ -229,22 +229,25 @@ def arc_distance(arcs: Arcs, centers: FloatArray) -> FloatArray:
     full turn. With k the curvature, x along the tangent, y towards the centre, z across:
     distance^2 = ((k (x^2 + y^2) - 2 y) / (1 + q))^2 + z^2, q^2 = (k x)^2 + (1 - k y)^2, exact for k = 0 too.
     """
-    off = centers - arcs.starts[..., None, :]  # (..., n, m, 3)
-    x = np.einsum("...md,...d->...m", off, arcs.tangents)
-    y = np.einsum("...md,...d->...m", off, arcs.normals)
-    square = np.einsum("...d,...d->...", off, off)
-    flat = x * x + y * y
+    # Coordinates of the points in each piece's own frame, (..., n, m): products of matrices, no array of differences.
+    x, y, z = (
+        axis @ centers.T - np.einsum("...d,...d->...", axis, arcs.starts)[..., None]
+        for axis in (arcs.tangents, arcs.normals, np.cross(arcs.tangents, arcs.normals))
+    )
+    forward, aside = (v[..., None] for v in chord(arcs.lengths, arcs.curvatures))
+    flat, across = x * x + y * y, z * z
     k = np.maximum(arcs.curvatures, STRAIGHT)[..., None]
     kx, ky = k * x, 1.0 - k * y
     radial = (k * flat - 2.0 * y) / (1.0 + np.sqrt(kx * kx + ky * ky))
-    middle = radial * radial + np.maximum(square - flat, 0.0)
     angle = np.arctan2(kx, ky)
     whole = (arcs.lengths * arcs.curvatures)[..., None]
-    on_arc = np.where(arcs.curvatures[..., None] > STRAIGHT, np.where(angle < 0, angle + 2.0 * np.pi, angle) <= whole,
-                      (x >= 0.0) & (x <= arcs.lengths[..., None]))  # fmt: skip
-    last = centers - arcs.ends[..., None, :]
-    ends = np.minimum(square, np.einsum("...d,...d->...", last, last))
-    return np.sqrt(np.where(on_arc, middle, ends))
+    beside = np.where(
+        arcs.curvatures[..., None] > STRAIGHT,
+        np.where(angle < 0, angle + 2.0 * np.pi, angle) <= whole,
+        (x >= 0.0) & (x <= arcs.lengths[..., None]),
+    )
+    ends = np.minimum(flat, (x - forward) ** 2 + (y - aside) ** 2)
+    return np.sqrt(np.where(beside, radial * radial, ends) + across)
 
 
 class Scene:
