@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,6 @@ from segmentation.mesh import Cap, Surface
 from segmentation.region_growing import GrowthCurve, Region
 from segmentation.volume import Volume
 from tubeplan_viz.result import Review
-
-CHROMIUM = Path("/usr/bin/chromium")
-ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 def axis_and_radius(count: int = 481, neck: float = 0.85) -> tuple[np.ndarray, np.ndarray]:
@@ -256,15 +252,3 @@ def build_review(
 @pytest.fixture(scope="session")
 def make_review() -> Callable[..., Review]:
     return build_review
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    if not CHROMIUM.exists():
-        pytest.skip("chromium is not installed")
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
-        yield chromium
-        chromium.close()

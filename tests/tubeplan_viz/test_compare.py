@@ -23,7 +23,6 @@ from tubeplan_viz.recording import record_comparison
 from tubeplan_viz.result import Comparison, RunFolderError, compare_runs, read_runs
 from tubeplan_viz.result.comparison import better_of
 
-CHROMIUM = Path("/usr/bin/chromium")
 DATA = re.compile(r'<data class="v" value="([^"]*)" data-key="([^"]*)">([^<]*)</data>')
 
 
@@ -304,30 +303,25 @@ def test_a_folder_that_is_no_run_leaves_nothing(made_runs: Path, tmp_path: Path,
 
 
 @pytest.fixture(scope="module")
-def opened(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, list[str], list[str]]]:
-    if not CHROMIUM.exists():
-        pytest.skip("no Chromium")
-    from playwright.sync_api import sync_playwright
-
+def opened(
+    comparison: Comparison, browser: Any, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Any, list[str], list[str]]]:
     path = tmp_path_factory.mktemp("page") / "report.html"
     write_comparison(comparison, path)
-    arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=str(CHROMIUM), args=arguments)
-        page = browser.new_page(viewport={"width": 1440, "height": 900})
-        faults: list[str] = []
-        asked: list[str] = []
-        page.on("console", lambda line: faults.append(line.text) if "GL Driver Message" not in line.text else None)
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("request", lambda request: asked.append(request.url))
-        page.goto(path.as_uri())
-        for _ in range(200):
-            if page.evaluate("globalThis.tubeplanReady === true"):
-                break
-            page.wait_for_timeout(50)
-        page.wait_for_timeout(300)
-        yield page, faults, asked
-        browser.close()
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    faults: list[str] = []
+    asked: list[str] = []
+    page.on("console", lambda line: faults.append(line.text) if "GL Driver Message" not in line.text else None)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(path.as_uri())
+    for _ in range(200):
+        if page.evaluate("globalThis.tubeplanReady === true"):
+            break
+        page.wait_for_timeout(50)
+    page.wait_for_timeout(300)
+    yield page, faults, asked
+    page.close()
 
 
 def test_the_page_opens_without_a_fault_or_a_request_and_draws_the_scene(opened: tuple[Any, list[str], list[str]]) -> None:

@@ -10,6 +10,7 @@ import re
 import stat
 import sys
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -18,9 +19,6 @@ import pytest
 from tubeplan_viz.recording import ViewerError, WebViewer, native_viewer, show_native
 from tubeplan_viz.recording.viewer_program import quiet_home
 from tubeplan_viz.recording.web_viewer import content_policy
-
-CHROMIUM = Path("/usr/bin/chromium")
-ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 
 
 def ask(url: str, path: str, *, host: str | None = None, method: str = "GET") -> http.client.HTTPResponse:
@@ -78,30 +76,26 @@ def test_a_taken_port_is_refused_in_one_sentence(viewer: WebViewer, light_file: 
         WebViewer(light_file, port=int(port or 0))
 
 
-@pytest.mark.skipif(not CHROMIUM.exists(), reason="no Chromium")
-def test_the_browser_shows_the_recording_and_asks_nobody_else(viewer: WebViewer) -> None:
+def test_the_browser_shows_the_recording_and_asks_nobody_else(viewer: WebViewer, browser: Any) -> None:
     from PIL import Image
-    from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=str(CHROMIUM), args=ARGUMENTS)
-        page = browser.new_page(viewport={"width": 900, "height": 600})
-        asked: list[str] = []
-        refused: list[str] = []
-        page.on("request", lambda request: asked.append(request.url))
-        page.on("console", lambda line: refused.append(line.text))
-        with page.expect_response("**/recording.rrd", timeout=60_000):
-            page.goto(viewer.url)
-        # The layout in the file has a dark 3D view at its left; the viewer without a recording is white there.
-        dark = 0.0
-        for _ in range(60):
-            page.wait_for_timeout(500)
-            with Image.open(io.BytesIO(page.screenshot())) as picture:
-                left = np.asarray(picture.convert("RGB"), float)[60:400, 30:330]
-            dark = float((np.abs(left - [18, 20, 24]).max(axis=2) < 4).mean())
-            if dark > 0.3:
-                break
-        browser.close()
+    page = browser.new_page(viewport={"width": 900, "height": 600})
+    asked: list[str] = []
+    refused: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.on("console", lambda line: refused.append(line.text))
+    with page.expect_response("**/recording.rrd", timeout=60_000):
+        page.goto(viewer.url)
+    # The layout in the file has a dark 3D view at its left; the viewer without a recording is white there.
+    dark = 0.0
+    for _ in range(60):
+        page.wait_for_timeout(500)
+        with Image.open(io.BytesIO(page.screenshot())) as picture:
+            left = np.asarray(picture.convert("RGB"), float)[60:400, 30:330]
+        dark = float((np.abs(left - [18, 20, 24]).max(axis=2) < 4).mean())
+        if dark > 0.3:
+            break
+    page.close()
     assert dark > 0.3
     assert left.std() > 3.0  # and something is drawn in it
     assert {urlsplit(url).hostname for url in asked} == {"127.0.0.1"}
