@@ -13,6 +13,7 @@ from segmentation.errors import CaseError
 from tubeplan_viz.bench import BENCHMARKS
 from tubeplan_viz.cli.options import Json, Quiet
 from tubeplan_viz.cli.show import progress
+from tubeplan_viz.result import plain
 
 
 def bench(
@@ -32,7 +33,7 @@ def bench(
     with progress(quiet or json) as notify:
         rows = BENCHMARKS[name](quick=quick, notify=notify)
     if json:
-        typer.echo(json_text.dumps([row.as_dict() for row in rows], indent=1))
+        typer.echo(json_text.dumps(plain([row.as_dict() for row in rows]), indent=1))
     else:
         table = Table(box=None, pad_edge=False)
         for heading in ("case", "figure", "ours", "reference", "source", "ratio", "target", "holds"):
