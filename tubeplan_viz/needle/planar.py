@@ -33,6 +33,9 @@ STARTS = 4  # refined per form and side
 TRIES = 20  # random steps from each of them in one round
 ROUNDS = 30
 SHRINK = 0.68  # of the steps per round: 0.68^30 of the first step is 1e-5 of it
+SCOUTS = 8  # shapes that all but keep the distance, per form and side: the way into a narrow gap of the grid
+SCOUT_ROUNDS = 12
+GRID = {1: 6000, 2: 110, 3: 22}  # places along each free length, by how many there are
 CHUNK = 1024
 
 
@@ -321,23 +324,25 @@ def slack(scene: Scene) -> float:
 def best_of_degree(problem: PlanarProblem, degree: int, rng: np.random.Generator) -> list[PlanarPath]:
     """The best path of each form of one control degree."""
     cases = [(form, np.array(sides, dtype=float)) for form in FORMS[degree] for sides in sides_of(form)]
-    starts: list[Shapes] = []
-    owner: list[int] = []
+    starts: list[tuple[int, Shapes]] = []
+    scouts: list[tuple[int, Shapes]] = []
     tried = dict.fromkeys(FORMS[degree], 0)
     for index, (form, sides) in enumerate(cases):
         free = np.zeros((1, 0)) if degree == 1 else grid(problem, sides[:-1])
         shapes = close(problem, free, sides)
         shapes = shapes.take(np.flatnonzero(np.isfinite(shapes.costs)))
         tried[form] += len(shapes.costs)
-        chosen = cheapest(problem, shapes)
-        if len(chosen.costs):
-            starts.append(chosen)
-            owner.extend([index] * len(chosen.costs))
-    if starts:
-        lengths, angles = np.vstack([s.lengths for s in starts]), np.concatenate([s.angles for s in starts])
-        sides = np.array([cases[k][1] for k in owner])
-        pool = Shapes(lengths, angles, sides, problem.settings.weight_length * lengths.sum(axis=1))
-        pool, costs, spare = refine(problem, pool, rng) if degree > 1 else (pool, *weigh(problem, pool))
+        for found, group in zip(cheapest(problem, shapes, degree), (starts, scouts), strict=True):
+            group.append((index, found))
+    pool, owner = gathered(problem, starts)
+    if degree == 1:
+        costs, spare = weigh(problem, pool)
+    else:
+        ahead, scout_owner = gathered(problem, scouts)
+        ahead, *_ = refine(problem, ahead, rng, rounds=SCOUT_ROUNDS, step=0.5 * spacing(problem, degree))
+        pool, owner = joined(pool, ahead), np.concatenate([owner, scout_owner])
+        pool, owner = promising(problem, pool, owner)
+        pool, costs, spare = refine(problem, pool, rng, rounds=ROUNDS, step=0.06 * problem.distance)
     result = []
     for form in FORMS[degree]:
         mine = [row for row, k in enumerate(owner) if cases[k][0] == form]
@@ -352,7 +357,7 @@ def best_of_degree(problem: PlanarProblem, degree: int, rng: np.random.Generator
 def grid(problem: PlanarProblem, sides: FloatArray) -> FloatArray:
     """Lengths of the free pieces on a grid, (k, n - 1) mm."""
     s = problem.settings
-    per_axis = {1: 1500, 2: 64, 3: 22}[len(sides)]
+    per_axis = GRID[len(sides)]
     axes = []
     for side in sides:
         longest = 1.3 * problem.distance if side == 0 else min(s.turn_max * s.radius, 1.3 * problem.distance)
@@ -360,8 +365,43 @@ def grid(problem: PlanarProblem, sides: FloatArray) -> FloatArray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(sides))
 
 
-def cheapest(problem: PlanarProblem, shapes: Shapes) -> Shapes:
-    """A few feasible shapes of low cost that differ; where none is feasible, those that keep the largest distance."""
+def gathered(problem: PlanarProblem, groups: list[tuple[int, Shapes]]) -> tuple[Shapes, IntArray]:
+    """Shapes of several forms and sides as one population, (k, n) sides, and to which each belongs, (k,)."""
+    owner = np.concatenate([np.full(len(shapes.costs), index) for index, shapes in groups]) if groups else np.empty(0)
+    lengths = np.vstack([shapes.lengths for _, shapes in groups])
+    sides = np.vstack([np.broadcast_to(shapes.sides, shapes.lengths.shape) for _, shapes in groups])
+    angles = np.concatenate([shapes.angles for _, shapes in groups])
+    return Shapes(lengths, angles, sides, problem.settings.weight_length * lengths.sum(axis=1)), owner.astype(int)
+
+
+def joined(first: Shapes, second: Shapes) -> Shapes:
+    """Two populations as one."""
+    names = ("lengths", "angles", "sides", "costs")
+    return Shapes(*(np.concatenate([getattr(first, name), getattr(second, name)]) for name in names))
+
+
+def promising(problem: PlanarProblem, pool: Shapes, owner: IntArray) -> tuple[Shapes, IntArray]:
+    """Of each form and side the `STARTS` cheapest; where none is feasible, those that come nearest to it."""
+    costs, spare = weigh(problem, pool)
+    kept: list[int] = []
+    for index in np.unique(owner):
+        rows = np.flatnonzero(owner == index)
+        kept.extend(rows[np.lexsort((-spare[rows], costs[rows]))][:STARTS].tolist())
+    chosen = np.array(kept, dtype=int)
+    return pool.take(chosen), owner[chosen]
+
+
+def spacing(problem: PlanarProblem, degree: int) -> float:
+    """Between neighbours of the grid, mm."""
+    return 1.3 * problem.distance / GRID[degree - 1]
+
+
+def cheapest(problem: PlanarProblem, shapes: Shapes, degree: int) -> tuple[Shapes, Shapes]:
+    """A few feasible shapes of low cost that differ, and a few still cheaper ones that are all but feasible.
+
+    A gap between obstacles may be narrower than the grid: a shape that is short of the distance by no more than the grid
+    is coarse may have feasible neighbours.
+    """
     order = np.argsort(shapes.costs, kind="stable")
     costs, spare = np.full(len(order), np.inf), np.full(len(order), -np.inf)
     seen = 0
@@ -373,23 +413,35 @@ def cheapest(problem: PlanarProblem, shapes: Shapes) -> Shapes:
             break
     able = np.flatnonzero(np.isfinite(costs))
     ranked = able[np.argsort(costs[able], kind="stable")] if len(able) else np.argsort(-spare, kind="stable")
+    coarse = min(2.0 * spacing(problem, degree), 3.0) if degree > 1 else 0.0
+    least = float(costs.min(initial=np.inf))
+    close_by = np.flatnonzero(~np.isfinite(costs) & (spare >= -coarse) & (shapes.costs < least))
     apart = 0.06 * problem.distance
+    cheap, near = (close_by[np.argsort(rank[close_by], kind="stable")] for rank in (shapes.costs, -spare))
+    scouts = [
+        differing(shapes.lengths, rows, apart, count) for rows, count in ((cheap, SCOUTS // 4), (near, SCOUTS - SCOUTS // 4))
+    ]
+    return shapes.take(differing(shapes.lengths, ranked, apart, STARTS)), shapes.take(np.unique(np.concatenate(scouts)))
+
+
+def differing(lengths: FloatArray, ranked: IntArray, apart: float, count: int) -> IntArray:
+    """The first of `ranked` rows that differ in some length by more than `apart` mm from those before, at most `count`."""
     kept: list[int] = []
-    for row in ranked[:400]:
-        if all(np.abs(shapes.lengths[row] - shapes.lengths[other]).max() > apart for other in kept):
-            kept.append(int(row))
-        if len(kept) == STARTS:
-            break
-    return shapes.take(np.array(kept, dtype=int))
+    left = ranked[:4000]
+    while len(left) and len(kept) < count:
+        kept.append(int(left[0]))
+        left = left[np.abs(lengths[left] - lengths[left[0]]).max(axis=1) > apart]
+    return np.array(kept, dtype=int)
 
 
-def refine(problem: PlanarProblem, pool: Shapes, rng: np.random.Generator) -> tuple[Shapes, FloatArray, FloatArray]:
+def refine(
+    problem: PlanarProblem, pool: Shapes, rng: np.random.Generator, *, rounds: int, step: float
+) -> tuple[Shapes, FloatArray, FloatArray]:
     """Random steps around each shape, smaller from round to round; a step is kept if it is cheaper (or nearer to feasible)."""
     costs, spare = weigh(problem, pool)
     lengths, angles = pool.lengths.copy(), pool.angles.copy()
     count, free = len(costs), lengths.shape[1] - 1
-    step = 0.06 * problem.distance
-    for _ in range(ROUNDS):
+    for _ in range(rounds if count else 0):
         scale = step * rng.choice([1.0, 0.3, 0.1], size=(count, TRIES, 1))
         trial = lengths[:, None, :free] + scale * rng.standard_normal((count, TRIES, free))
         trial = np.maximum(trial, problem.settings.piece_min)
