@@ -33,7 +33,8 @@ def inspect(
     if json:
         typer.echo(json_text.dumps(found, indent=1))
         return
-    console = Console()
+    # Square brackets are text here, such as the name of an extra to install, and not rich's markup.
+    console = Console(markup=False)
     for title, rows in sections(found):
         table = Table(title=title, title_justify="left", show_header=False, box=None, pad_edge=False)
         for key, value in rows:
