@@ -82,7 +82,8 @@ def run_case(
                 with watch.stage("recording"):
                     record_anatomy(stream, lumen, problem, light=light)
             with watch.stage("plan") as progress:
-                steps = follow(tube_steps(problem, time_budget=case.planner.time_budget), stream, case, progress)
+                rounds = tube_steps(problem, time_budget=case.planner.time_budget)
+                steps = follow(rounds, stream, case, progress, folder)
             with watch.stage("verify and prove"):
                 plan = conclude(problem, steps)
             # mesh.ply holds wall faces first and then the caps; result.json counts on that order.
@@ -115,7 +116,11 @@ def run_case(
 
 
 def follow(
-    steps: Iterator[PlanStep], stream: Recording | None, case: Case, progress: Callable[[int, int], None]
+    steps: Iterator[PlanStep],
+    stream: Recording | None,
+    case: Case,
+    progress: Callable[[int, int], None],
+    folder: RunFolder,
 ) -> list[PlanStep]:
     """Run the iteration, feeding each step to the recording as it happens."""
     done: list[PlanStep] = []
@@ -124,6 +129,7 @@ def follow(
         progress(step.index, case.refine.max_rounds)
         if stream is not None:
             stream.log_step(step)
+        folder.check_interrupted()
     return done
 
 

@@ -32,7 +32,7 @@ FULL = {
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "a file would exceed the size limit",
 }
-ENDING_SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class RunFolder:
@@ -77,6 +77,7 @@ class RunFolder:
         self._files = tuple(files)
         self._partial: Path | None = None
         self._finished = False
+        self._interrupted = False
         self._handlers: dict[signal.Signals, Any] = {}
 
     @property
@@ -242,17 +243,26 @@ class RunFolder:
         if threading.current_thread() is not threading.main_thread():
             return
         for number in ENDING_SIGNALS:
-            if signal.getsignal(number) is signal.SIG_DFL:
-                self._handlers[number] = signal.signal(number, _interrupt)
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                self._handlers[number] = signal.signal(number, self._interrupt)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> NoReturn:
+        self._interrupted = True
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    def check_interrupted(self) -> None:
+        """Raise the interruption again, should a library have swallowed it.
+
+        Python drops an exception that is raised inside a finaliser or a foreign library's
+        callback; called between two steps of long work this ends the run all the same.
+        """
+        if self._interrupted:
+            raise KeyboardInterrupt
 
     def _release_signals(self) -> None:
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
         self._handlers = {}
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 def is_run(folder: Path, marker: str = RESULT) -> bool:

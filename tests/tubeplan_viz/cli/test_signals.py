@@ -6,6 +6,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,9 @@ def run(command: str, meshes: Path, tmp_path: Path) -> Iterator[subprocess.Popen
     arguments = ["--curvature-max", "0.03", "--clearance-min", "2.9", "--max-rounds", "1000000", "--quiet"]
     ends = ["--start", "E1", "--goal", "E2", "-o", str(tmp_path / "run")]
     call = [command, "plan", "tube", "--mesh", str(meshes / "variant.ply"), *ends, *arguments]
-    with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    # Where the tests themselves run in the background, Ctrl-C is ignored and children inherit that.
+    heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    with subprocess.Popen(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed) as process:
         try:
             deadline = time.monotonic() + 60.0
             while not list(tmp_path.glob(".run.partial-*/.recording.partial-*.rrd")):
