@@ -173,6 +173,7 @@ class RunFolder:
         RunFolderError
             If a file does not belong into it, or it cannot appear.
         """
+        self.check_interrupted()
         marker = self.path(self._files[0])
         partial = marker.parent
         if not marker.exists():
