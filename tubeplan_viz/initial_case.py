@@ -14,7 +14,8 @@ import tomli_w
 from segmentation.anatomy.guess import guess_anatomy
 from segmentation.errors import CaseError
 from segmentation.images import read_ct
-from tubeplan_viz.case import Case, InputCase, case_table, make_case
+from tubeplan_viz.cases.inputs import InputCase
+from tubeplan_viz.cases.tube import Case, case_table, make_case
 from tubeplan_viz.centerline import Endpoint
 from tubeplan_viz.instruments import Instrument, read_catalogue
 from tubeplan_viz.pipeline import Lumen, Notify, Stopwatch, grow_tree, load_lumen, silent

@@ -14,7 +14,7 @@ import numpy as np
 from reports import write_matrix
 from segmentation.errors import CaseError
 from segmentation.mesh_files import write_ply
-from tubeplan_viz.case import Case, case_table
+from tubeplan_viz.cases.tube import Case, case_table
 from tubeplan_viz.centerline import Endpoint
 from tubeplan_viz.instruments import (
     Cell,

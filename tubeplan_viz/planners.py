@@ -2,21 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tubeplan_viz import case as tube_case
-from tubeplan_viz import pipeline
-from tubeplan_viz.needle_case import NEEDLES, NeedleCase, make_needle_case
-from tubeplan_viz.needle_run import run_needle
-from tubeplan_viz.pipeline import Notify, silent
-
-AnyCase = tube_case.Case | NeedleCase
+from segmentation.errors import CaseError
+from tubeplan_viz.cases import needle, tube
+from tubeplan_viz.pipeline import RunOptions, run_needle, run_tube
 
 
-def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str = "case") -> AnyCase:
-    """A case from the tables of a case file, by the name in its table ``[planner]``.
+@dataclass(frozen=True, kw_only=True)
+class Planner:
+    """One planner's way in.
+
+    Attributes
+    ----------
+    make : callable
+        ``make(table, folder=..., name=...)`` gives the case of a case file's tables.
+    case : type
+        What `make` gives.
+    run : callable
+        ``run(case, target, options)`` plans the case, writes the run folder `target` and returns the content of result.json.
+    """
+
+    make: Callable[..., Any]
+    case: type
+    run: Callable[[Any, Path, RunOptions], dict[str, Any]]
+
+
+_NEEDLE = Planner(make=needle.make_needle_case, case=needle.NeedleCase, run=run_needle)
+PLANNERS: dict[str, Planner] = {
+    "tube": Planner(make=tube.make_case, case=tube.Case, run=run_tube),
+    "needle2d": _NEEDLE,
+    "needle3d": _NEEDLE,
+}
+
+
+def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str = "case") -> Any:
+    """A case from the tables of a case file, by the name in its table ``[planner]``, ``tube`` when it has none.
 
     Raises
     ------
@@ -24,24 +48,31 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         Naming the file, the table and the key.
     """
     planner = table.get("planner", {})
-    which = planner.get("name") if isinstance(planner, Mapping) else None
-    make = make_needle_case if which in NEEDLES else tube_case.make_case
-    return make(table, folder=folder, name=name)
+    which = planner.get("name", "tube") if isinstance(planner, Mapping) else "tube"
+    if which not in PLANNERS:
+        raise CaseError(f"{name} [planner] name: there is no planner {which!r}, expected one of {', '.join(PLANNERS)}")
+    return PLANNERS[which].make(table, folder=folder, name=name)
 
 
-def run_case(
-    case: AnyCase,
-    target: Path,
-    *,
-    force: bool = False,
-    recording: bool = True,
-    report: bool = True,
-    light: bool = False,
-    connect: str | None = None,
-    notify: Notify = silent,
-) -> dict[str, Any]:
-    """Plan one case of any planner and write its run folder; parameters as `tubeplan_viz.pipeline.run_case`."""
-    options: dict[str, Any] = {"recording": recording, "report": report, "light": light, "connect": connect, "notify": notify}
-    if isinstance(case, NeedleCase):
-        return run_needle(case, target, force=force, **options)
-    return pipeline.run_case(case, target, force=force, **options)
+def run_case(case: Any, target: Path, options: RunOptions | None = None) -> dict[str, Any]:
+    """Plan one case of any planner and write its run folder.
+
+    Parameters
+    ----------
+    case : any case that `make_case` gives
+    target : Path
+        The run folder; refused if it exists, unless `options.force` is set.
+    options : RunOptions, optional
+
+    Returns
+    -------
+    dict
+        The content of result.json; status "infeasible" with a reason where there is no path.
+
+    Raises
+    ------
+    TubeplanError
+        If the input is bad or no path can be begun; then no folder is left.
+    """
+    run = next(planner.run for planner in PLANNERS.values() if isinstance(case, planner.case))
+    return run(case, target, options or RunOptions())

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from tubeplan_viz.bench.examples import EXAMPLES, KEPT, write_example_mesh
-from tubeplan_viz.case import read_case
-from tubeplan_viz.pipeline import run_case
+from tubeplan_viz.cases.tube import read_case
+from tubeplan_viz.pipeline import RunOptions, run_tube
 from tubeplan_viz.recording import read_recording
 from tubeplan_viz.recording.readback import RecordedRun
 
@@ -51,7 +51,7 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pair]:
         write_example_mesh(name, folder)
         (folder / name).mkdir()
         shutil.copyfile(RECORDED / name / "case.toml", folder / name / "case.toml")
-        run_case(read_case(folder / name / "case.toml"), folder / "again", report=False, light=True)
+        run_tube(read_case(folder / name / "case.toml"), folder / "again", RunOptions(report=False, light=True))
         results = [json.loads((place / "result.json").read_text()) for place in (RECORDED / name, folder / "again")]
         recordings = [read_recording(place / "recording.rrd") for place in (RECORDED / name, folder / "again")]
         # Settings may be added later; those that were recorded stay as they are.

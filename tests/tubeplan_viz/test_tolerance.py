@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from segmentation.errors import CaseError
-from tubeplan_viz.case import make_case
+from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.plan import PathProfile
 from tubeplan_viz.profile import measure_path

@@ -16,8 +16,8 @@ from typing import Any
 
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.bench.models import Model, bent_cylinder_1, bent_cylinder_2, narrow_neck, y_junction
-from tubeplan_viz.case import Case, make_case
-from tubeplan_viz.pipeline import run_case
+from tubeplan_viz.cases.tube import Case, make_case
+from tubeplan_viz.pipeline import RunOptions, run_tube
 
 KEPT = ("case.toml", "result.json", "recording.rrd")
 
@@ -81,7 +81,7 @@ def record(name: str, target: Path) -> None:
     """Plan one example and keep its files in the folder `target`/NAME."""
     with tempfile.TemporaryDirectory() as temporary:
         run = Path(temporary) / name
-        run_case(example_case(name, Path(temporary)), run, report=False, light=True)
+        run_tube(example_case(name, Path(temporary)), run, RunOptions(report=False, light=True))
         (target / name).mkdir(parents=True, exist_ok=True)
         for file in KEPT:
             shutil.copyfile(run / file, target / name / file)

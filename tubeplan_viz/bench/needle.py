@@ -9,15 +9,15 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.bench.needle_scenes import SCENES, TARGETS, columns, planar, replanned, scattered
 from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.cases.needle import NeedleCase, make_needle_case
 from tubeplan_viz.needle.kinematics import insertion_pose, push
 from tubeplan_viz.needle.obstacles import Scene, Sphere
 from tubeplan_viz.needle.planar import PlanarProblem, PlanarSettings, best, close, plan_planar, sides_of, weigh
 from tubeplan_viz.needle.replan import insert, monte_carlo
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
-from tubeplan_viz.needle_case import NeedleCase, make_needle_case
-from tubeplan_viz.needle_run import event_of, load_scene
 from tubeplan_viz.pipeline import Notify, silent
+from tubeplan_viz.pipeline.needle import event_of, load_scene
 
 ZHAO, HUO = "Zhao et al. 2013, table 2", "Huo et al. 2015"
 GRID = {1: 4000, 2: 160}  # lengths along each free axis

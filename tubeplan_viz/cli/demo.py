@@ -10,10 +10,10 @@ import typer
 
 from segmentation.errors import CaseError
 from segmentation.synthetic import CollectingSystem, write_demo_series
-from tubeplan_viz.case import make_case
+from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet
 from tubeplan_viz.cli.show import progress, report_plan
-from tubeplan_viz.pipeline import run_case
+from tubeplan_viz.pipeline import RunOptions, run_tube
 
 
 def demo(
@@ -43,7 +43,7 @@ def demo(
             },
             name="demo",
         )
-        result = run_case(case, output, force=force, recording=not no_recording, report=not no_report, notify=notify)
+        result = run_tube(case, output, RunOptions(force=force, recording=not no_recording, report=not no_report, notify=notify))
     status = report_plan(result, output, as_json=json)
     if open_report and (output / "report.html").exists():
         webbrowser.open((output / "report.html").resolve().as_uri())

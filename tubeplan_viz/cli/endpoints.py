@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from segmentation.errors import CaseError
-from tubeplan_viz.case import make_case
+from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import Json, Quiet, case_options
 from tubeplan_viz.cli.show import progress
 from tubeplan_viz.pipeline import Stopwatch, endpoint_details, grow_tree, load_lumen

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from segmentation.errors import CaseError
-from tubeplan_viz.case import make_case
+from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet, case_options
 from tubeplan_viz.cli.show import EXIT_STATUS, progress
 from tubeplan_viz.instruments import read_catalogue

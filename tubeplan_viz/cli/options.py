@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from segmentation.errors import CaseError
+from tubeplan_viz.pipeline import Notify, RunOptions
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Run folder to make.", show_default=True)]
 Json = Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")]
@@ -89,15 +91,69 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
 
 def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command all options of a case; it receives those that were set as tables, `given`."""
-    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "given"]
+    declared = {name: Annotated[kind | None, declaration] for name, (_, _, kind, declaration) in CASE_OPTIONS.items()}
+    return with_options(command, "given", declared, dict.fromkeys(declared), tables)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Where a plan goes and what of it is written and printed: the options that every planning command has."""
+
+    output: Path
+    force: bool
+    no_recording: bool
+    no_report: bool
+    connect: str | None
+    json: bool
+    quiet: bool
+
+    def run_options(self, notify: Notify, *, light: bool = False) -> RunOptions:
+        """The same as the pipelines take it."""
+        return RunOptions(
+            force=self.force,
+            recording=not self.no_recording,
+            report=not self.no_report,
+            light=light,
+            connect=self.connect,
+            notify=notify,
+        )
+
+
+OUTPUT_OPTIONS: dict[str, tuple[Any, Any]] = {
+    "output": (Output, Path("run")),
+    "force": (Force, False),
+    "no_recording": (NoRecording, False),
+    "no_report": (NoReport, False),
+    "connect": (Connect, None),
+    "json": (Json, False),
+    "quiet": (Quiet, False),
+}
+
+
+def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the options of its outputs; it receives them as `outputs`."""
+    declared = {name: kind for name, (kind, _) in OUTPUT_OPTIONS.items()}
+    defaults = {name: default for name, (_, default) in OUTPUT_OPTIONS.items()}
+    return with_options(command, "outputs", declared, defaults, lambda values: Outputs(**values))
+
+
+def with_options(
+    command: Callable[..., Any],
+    taken: str,
+    declared: Mapping[str, Any],
+    defaults: Mapping[str, Any],
+    gather: Callable[[dict[str, Any]], Any],
+) -> Callable[..., Any]:
+    """A command whose parameter `taken` is made by `gather` from the options `declared`."""
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != taken]
 
     def wrapper(**values: Any) -> Any:
-        set_here = {name: values.pop(name) for name in CASE_OPTIONS}
-        return command(given=tables(set_here), **values)
+        here = {name: values.pop(name) for name in declared}
+        return command(**{taken: gather(here)}, **values)
 
     shared = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[kind | None, declaration])
-        for name, (_, _, kind, declaration) in CASE_OPTIONS.items()
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=defaults[name], annotation=kind)
+        for name, kind in declared.items()
     ]
     parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in own] + shared
     # typer reads the signature and the annotations of what it is given, not those of this wrapper.

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cli.options import Connect, Force, Json, NoRecording, NoReport, Output, Quiet
-from tubeplan_viz.cli.show import progress, report_plan
-from tubeplan_viz.planners import make_case, run_case
+from tubeplan_viz.cli.options import Outputs, output_options
+from tubeplan_viz.cli.show import plan_and_exit
+from tubeplan_viz.planners import make_case
 
 Target = Annotated[str, typer.Option("--target", help="Where the tip should end, mm: Y,Z in the plane, X,Y,Z in space.")]
 Entry = Annotated[str | None, typer.Option("--entry", help="Where the needle goes in, mm [the origin].")]
@@ -33,6 +33,7 @@ Method = Annotated[str | None, typer.Option("--method", help="swarm (polished on
 Budget = Annotated[float | None, typer.Option("--time-budget", help="Try swarms for so many s and keep the best.")]
 
 
+@output_options
 def needle2d(
     *,
     target: Target,
@@ -44,13 +45,7 @@ def needle2d(
     degree_max: Degree = None,
     case_id: CaseId = None,
     rng_seed: Seed = None,
-    output: Output = Path("run"),
-    force: Force = False,
-    no_recording: NoRecording = False,
-    no_report: NoReport = False,
-    connect: Connect = None,
-    json: Json = False,
-    quiet: Quiet = False,
+    outputs: Outputs,
 ) -> None:
     """Plan a needle in the plane: lines and arcs, every form at its optimum.
 
@@ -58,9 +53,10 @@ def needle2d(
     """
     own = {"target": target, "entry": entry, "radius_mm": radius, "kappa": kappa, "safety_mm": safety, "degree_max": degree_max}
     bodies = [ball("circle", text, 3) for text in circle or []]
-    run("needle2d", own, bodies, {"rng_seed": rng_seed}, case_id, output, force, no_recording, no_report, connect, json, quiet)
+    run("needle2d", own, bodies, {"rng_seed": rng_seed}, case_id, outputs)
 
 
+@output_options
 def needle3d(
     *,
     target: Target,
@@ -80,13 +76,7 @@ def needle3d(
     time_budget: Budget = None,
     case_id: CaseId = None,
     rng_seed: Seed = None,
-    output: Output = Path("run"),
-    force: Force = False,
-    no_recording: NoRecording = False,
-    no_report: NoReport = False,
-    connect: Connect = None,
-    json: Json = False,
-    quiet: Quiet = False,
+    outputs: Outputs,
 ) -> None:
     """Plan a flexible needle in space past obstacles, onto the target.
 
@@ -98,7 +88,7 @@ def needle3d(
     bodies += [{"kind": "mesh", "file": str(path)} for path in mesh or []]
     bodies += [{"kind": "mask", "file": str(path)} for path in mask or []]
     planner = {"rng_seed": rng_seed, "method": method, "time_budget": time_budget}
-    run("needle3d", own, bodies, planner, case_id, output, force, no_recording, no_report, connect, json, quiet)
+    run("needle3d", own, bodies, planner, case_id, outputs)
 
 
 def run(
@@ -107,13 +97,7 @@ def run(
     bodies: list[dict[str, Any]],
     planner: dict[str, Any],
     case_id: str | None,
-    output: Path,
-    force: bool,
-    no_recording: bool,
-    no_report: bool,
-    connect: str | None,
-    json: bool,
-    quiet: bool,
+    outputs: Outputs,
 ) -> None:
     """Make the case of the options, plan it, print the outcome and exit."""
     table: dict[str, Any] = {
@@ -123,12 +107,7 @@ def run(
     }
     if case_id is not None:
         table["input"] = {"case_id": case_id}
-    case = make_case(table, name="options")
-    with progress(quiet) as notify:
-        result = run_case(
-            case, output, force=force, recording=not no_recording, report=not no_report, connect=connect, notify=notify
-        )
-    raise typer.Exit(report_plan(result, output, as_json=json))
+    plan_and_exit(make_case(table, name="options"), outputs)
 
 
 def ball(kind: str, text: str, count: int) -> dict[str, Any]:

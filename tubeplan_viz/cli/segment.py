@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from tubeplan_viz.case import make_case
+from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import Force, Json, Output, Quiet, case_options
 from tubeplan_viz.cli.show import progress
 from tubeplan_viz.pipeline import segment_case

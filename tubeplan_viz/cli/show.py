@@ -8,13 +8,15 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from tubeplan_viz.cli.options import Outputs
 from tubeplan_viz.pipeline import Notify, silent
+from tubeplan_viz.planners import run_case
 
 EXIT_STATUS = {"ok": 0, "flagged": 3, "infeasible": 4}
 
@@ -62,6 +64,13 @@ def lines() -> Iterator[Notify]:
 
     yield notify
     close()
+
+
+def plan_and_exit(case: Any, outputs: Outputs, *, light: bool = False) -> NoReturn:
+    """Plan a case of any planner, print how it ended and exit with the status of spec 0.2."""
+    with progress(outputs.quiet) as notify:
+        result = run_case(case, outputs.output, outputs.run_options(notify, light=light))
+    raise typer.Exit(report_plan(result, outputs.output, as_json=outputs.json))
 
 
 def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> int:

@@ -1,14 +1,17 @@
 """The one way through: case -> volume -> surface -> plan -> outputs."""
 
 from tubeplan_viz.pipeline.lumen import Lumen, growth_details, load_lumen, segmentation_settings
+from tubeplan_viz.pipeline.needle import run_needle
+from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
-from tubeplan_viz.pipeline.run import run_case, surface_details
 from tubeplan_viz.pipeline.segment import segment_case
 from tubeplan_viz.pipeline.tree import Tree, endpoint_details, grow_tree, pose_case, resolve_end
+from tubeplan_viz.pipeline.tube import run_tube, surface_details
 
 __all__ = [
     "Lumen",
     "Notify",
+    "RunOptions",
     "Stopwatch",
     "Tree",
     "endpoint_details",
@@ -17,7 +20,8 @@ __all__ = [
     "load_lumen",
     "pose_case",
     "resolve_end",
-    "run_case",
+    "run_needle",
+    "run_tube",
     "segment_case",
     "segmentation_settings",
     "silent",

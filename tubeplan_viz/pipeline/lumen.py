@@ -14,7 +14,8 @@ from segmentation.mesh_files import read_surface
 from segmentation.region_growing import Region
 from segmentation.surface import SurfaceSettings, lumen_surface
 from segmentation.volume import Volume
-from tubeplan_viz.case import InputCase, Place
+from tubeplan_viz.cases.fields import Place
+from tubeplan_viz.cases.inputs import InputCase
 from tubeplan_viz.pipeline.progress import Stopwatch, silent
 
 

@@ -8,10 +8,10 @@ from typing import Any
 from segmentation.errors import CaseError
 from segmentation.mask_file import write_mask
 from segmentation.mesh_files import write_ply
-from tubeplan_viz.case import InputCase
+from tubeplan_viz.cases.inputs import InputCase
 from tubeplan_viz.pipeline.lumen import lumen_of_ct
 from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
-from tubeplan_viz.pipeline.run import surface_details
+from tubeplan_viz.pipeline.tube import surface_details
 from tubeplan_viz.result import RunFolder, plain
 
 # The first names the kind of folder.

@@ -10,7 +10,8 @@ import numpy as np
 from segmentation.caps import mark_flat_ends
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
-from tubeplan_viz.case import Case, Place
+from tubeplan_viz.cases.fields import Place
+from tubeplan_viz.cases.tube import Case
 from tubeplan_viz.centerline import CenterlineSettings, Endpoint, VoronoiGraph, find_endpoints, voronoi_graph
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.pipeline.lumen import Lumen

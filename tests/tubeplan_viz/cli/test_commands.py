@@ -334,7 +334,7 @@ def test_a_fault_of_the_program_ends_with_1_and_says_so(
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("a loose wire")
 
-    monkeypatch.setattr("tubeplan_viz.pipeline.run.load_lumen", broken)
+    monkeypatch.setattr("tubeplan_viz.pipeline.tube.load_lumen", broken)
     done = plan_tube(tubeplan, meshes / "tube.ply", tmp_path / "run", *BARE)
     assert done.status == 1
     assert "a fault of the program, please report it: RuntimeError: a loose wire" in done.err

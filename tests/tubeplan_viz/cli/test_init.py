@@ -13,7 +13,7 @@ import pytest
 from segmentation.anatomy.guess import guess_anatomy
 from segmentation.errors import CaseError, RegionError
 from segmentation.volume import Volume
-from tubeplan_viz.case import read_case
+from tubeplan_viz.cases.tube import read_case
 from tubeplan_viz.initial_case import find_instrument, write_case
 from tubeplan_viz.instruments import read_catalogue
 

@@ -7,12 +7,12 @@ import pytest
 
 from segmentation.errors import CaseError
 from tubeplan_viz.bench.needle_scenes import replanned
+from tubeplan_viz.cases.needle import make_needle_case
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
 from tubeplan_viz.needle.replan import Event, Insertion, InsertionSettings, insert, monte_carlo
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
-from tubeplan_viz.needle_case import make_needle_case
-from tubeplan_viz.needle_run import event_of, load_scene
+from tubeplan_viz.pipeline.needle import event_of, load_scene
 
 CASE = make_needle_case(replanned("obstacle"))
 PROBLEM = SpatialProblem(Pose(np.zeros(3), np.eye(3)), np.array(CASE.target), load_scene(CASE)[0], CASE.needle)

@@ -11,7 +11,7 @@ import pytest
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from tubeplan_viz.bench.models import Model, bent_cylinder_1, straight_tube, torus_piece, variant_2
-from tubeplan_viz.case import case_table, make_case
+from tubeplan_viz.cases.tube import case_table, make_case
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import SplineCurve
 from tubeplan_viz.plan import Limits, PlanStatus

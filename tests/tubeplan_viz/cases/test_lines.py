@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from segmentation.errors import CaseError
-from tubeplan_viz.case import make_case, read_table
-from tubeplan_viz.case_lines import key_lines, naming_lines
+from tubeplan_viz.cases.fields import read_table
+from tubeplan_viz.cases.lines import key_lines, naming_lines
+from tubeplan_viz.cases.tube import make_case
 
 VALUES = st.one_of(
     st.integers(-99, 99),

@@ -14,8 +14,8 @@ import tomli_w
 
 from segmentation.errors import CaseError
 from tubeplan_viz.bench.needle_scenes import SCENES
+from tubeplan_viz.cases.needle import make_needle_case, needle_case_table
 from tubeplan_viz.cli.app import status_of
-from tubeplan_viz.needle_case import make_needle_case, needle_case_table
 from tubeplan_viz.verify import verify_run
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import os
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -13,54 +10,30 @@ from typing import Any
 import tomli_w
 
 from segmentation.errors import CaseError
+from tubeplan_viz.cases.fields import (
+    Place,
+    check_keys,
+    end_place,
+    error_of_pose,
+    listed,
+    number,
+    point,
+    read_table,
+    subtable,
+    text,
+    whole,
+)
+from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tolerance import ToleranceSettings
 from tubeplan_viz.tube import FeatureSettings, OptimalSettings, RefineSettings, TubeSettings
-
-Place = tuple[float, float, float] | str
-HuLimit = float | str | None
 
 # Table 1 of Dai et al. (2024): least bend radius 8 mm, section radius 1.2 mm of a flexible ureteroscope.
 DEFAULT_CURVATURE_MAX = 0.125
 DEFAULT_CLEARANCE_MIN = 1.2
 
 PLANNERS = ("tube",)
-ANATOMIES = ("airway", "urinary", "vessel", "generic")
-
-
-@dataclass(frozen=True, kw_only=True)
-class InputCase:
-    """Table ``[input]``: what is read and how the lumen is found in it.
-
-    Exactly one of `ct` and `mesh` is given. Points are LPS mm for a CT, the mesh's own
-    axes in mm for a mesh.
-    """
-
-    ct: Path | None = None
-    mesh: Path | None = None
-    series: str | None = None
-    mesh_unit: str | None = None
-    part: str | None = None
-    case_id: str | None = None
-    anatomy: str | None = None
-    seed_point: tuple[float, float, float] | None = None
-    hu_min: HuLimit = None
-    hu_max: HuLimit = None
-    connectivity: int = 6
-    smoothing_mm: float | None = None
-
-    def __post_init__(self) -> None:
-        if (self.ct is None) == (self.mesh is None):
-            raise CaseError(
-                "give either a CT (--ct, key ct in [input]) or a mesh (--mesh, key mesh in [input]), exactly one of them"
-            )
-        if self.anatomy is not None and self.anatomy not in ANATOMIES:
-            raise CaseError(f"anatomy is {self.anatomy!r}, expected one of {', '.join(ANATOMIES)}")
-        if self.connectivity not in (6, 26):
-            raise CaseError(f"connectivity is {self.connectivity}, expected 6 or 26")
-        if self.smoothing_mm is not None and not 0 <= self.smoothing_mm <= 10:
-            raise CaseError(f"smoothing_mm is {self.smoothing_mm:g}, expected 0 to 10")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,24 +127,6 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         Naming the file, the table and the key.
     """
     check_keys(table, ("input", "limits", "planner", "tube"), name, "table")
-    inputs = subtable(table, "input", name)
-    check_keys(inputs, [f.name for f in fields(InputCase)], f"{name} [input]", "key")
-    for key in ("ct", "mesh"):
-        if inputs.get(key) is not None:
-            path = Path(text(inputs[key], f"{name} [input] {key}")).expanduser()
-            inputs[key] = path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
-    if inputs.get("seed_point") is not None:
-        inputs["seed_point"] = point(inputs["seed_point"], f"{name} [input] seed_point")
-    for key in ("hu_min", "hu_max"):
-        if inputs.get(key) is not None and inputs[key] != "auto":
-            inputs[key] = number(inputs[key], f"{name} [input] {key}", 'a number in HU or "auto"')
-    for key in ("series", "mesh_unit", "part", "case_id", "anatomy"):
-        if inputs.get(key) is not None:
-            inputs[key] = text(inputs[key], f"{name} [input] {key}")
-    if "connectivity" in inputs:
-        inputs["connectivity"] = whole(inputs["connectivity"], f"{name} [input] connectivity")
-    if inputs.get("smoothing_mm") is not None:
-        inputs["smoothing_mm"] = number(inputs["smoothing_mm"], f"{name} [input] smoothing_mm")
     planner = subtable(table, "planner", name)
     check_keys(planner, [f.name for f in fields(PlannerCase)], f"{name} [planner]", "key")
     for key in ("start", "goal"):
@@ -197,7 +152,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         part, attribute = TUBE_KEYS[key]
         parts[part][attribute] = tube_value(key, value, f"{name} [tube] {key}")
     return Case(
-        input=InputCase(**inputs),
+        input=input_case(table, folder=folder, name=name),
         limits=Limits(
             curvature_max=number(limits.get("curvature_max", DEFAULT_CURVATURE_MAX), f"{name} [limits] curvature_max"),
             clearance_min=number(limits.get("clearance_min", DEFAULT_CLEARANCE_MIN), f"{name} [limits] clearance_min"),
@@ -229,18 +184,6 @@ def read_case(path: Path) -> Case:
     return make_case(read_table(path), folder=path.resolve().parent, name=path.name)
 
 
-def read_table(path: Path) -> dict[str, Any]:
-    """The tables of a case file as they stand."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise CaseError(f"{path.name}: no such case file") from None
-    except (OSError, UnicodeDecodeError) as fault:
-        raise CaseError(f"{path.name}: cannot be read as text ({fault.__class__.__name__}); expected a TOML case file") from None
-    except tomllib.TOMLDecodeError as fault:
-        raise CaseError(f"{path.name}: not valid TOML: {fault}") from None
-
-
 def case_table(case: Case, *, folder: Path | None = None) -> dict[str, Any]:
     """The case as nested tables without keys that are unset; input paths relative to `folder`, or names only.
 
@@ -248,17 +191,10 @@ def case_table(case: Case, *, folder: Path | None = None) -> dict[str, Any]:
     show: no path of the machine it ran on.
     """
 
-    def shown(path: Path) -> str:
-        return path.name if folder is None else Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
-
-    inputs: dict[str, Any] = {f.name: getattr(case.input, f.name) for f in fields(InputCase)}
-    for key in ("ct", "mesh"):
-        if inputs[key] is not None:
-            inputs[key] = shown(inputs[key])
     planner = {f.name: getattr(case.planner, f.name) for f in fields(PlannerCase)}
     tube = {key: getattr(getattr(case, part), attribute) for key, (part, attribute) in TUBE_KEYS.items()}
     tables = {
-        "input": inputs,
+        "input": input_table(case.input, folder=folder),
         "limits": {"curvature_max": case.limits.curvature_max, "clearance_min": case.limits.clearance_min},
         "planner": planner,
         "tube": tube,
@@ -271,84 +207,3 @@ def case_text(case: Case, folder: Path) -> str:
     head = "# tubeplan case, every default resolved. Research use, not for clinical decisions.\n"
     units = "# Points and lengths in mm (LPS for a CT), curvature in 1/mm, HU limits in HU, times in s.\n\n"
     return head + units + tomli_w.dumps(case_table(case, folder=folder))
-
-
-def listed(value: Any) -> Any:
-    """Tuples as lists, for TOML and JSON."""
-    return [listed(v) for v in value] if isinstance(value, tuple) else value
-
-
-def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
-    """Refuse a key that nobody reads: a typing error must not pass as a default."""
-    if not isinstance(table, Mapping):
-        raise CaseError(f"{where}: found {type(table).__name__}, expected a table")
-    for key in table:
-        if key not in known:
-            raise CaseError(f"{where}: unknown {what} {key!r}; expected one of {', '.join(known)}")
-
-
-def subtable(table: Mapping[str, Any], key: str, name: str) -> dict[str, Any]:
-    """One table of the case, as a copy; empty when it is not there."""
-    found = table.get(key, {})
-    if not isinstance(found, Mapping):
-        raise CaseError(f"{name}: {key} is {found!r}, expected a table [{key}]")
-    return dict(found)
-
-
-def text(value: Any, where: str) -> str:
-    """A value that must be text."""
-    if not isinstance(value, str | os.PathLike):
-        raise CaseError(f"{where}: found {value!r}, expected text")
-    return os.fspath(value)
-
-
-def number(value: Any, where: str, wanted: str = "a finite number") -> float:
-    """A value that must be a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
-    return float(value)
-
-
-def whole(value: Any, where: str) -> int:
-    """A value that must be a whole number."""
-    found = number(value, where, "a whole number")
-    if found != round(found):
-        raise CaseError(f"{where}: found {value!r}, expected a whole number")
-    return int(found)
-
-
-def point(value: Any, where: str) -> tuple[float, float, float]:
-    """Three finite numbers, from a list or from text ``X,Y,Z``."""
-    if isinstance(value, str):
-        try:
-            value = [float(v) for v in value.split(",")]
-        except ValueError:
-            raise CaseError(f"{where}: found {value!r}, expected X,Y,Z in mm") from None
-    if not isinstance(value, Sequence) or len(value) != 3:
-        raise CaseError(f"{where}: found {value!r}, expected three numbers in mm")
-    x, y, z = (number(v, where) for v in value)
-    return (x, y, z)
-
-
-def error_of_pose(value: Any, where: str) -> tuple[float, float]:
-    """Shift in mm and turn in degrees, from a list or from text ``MM,DEG``."""
-    wanted = "a shift in mm and a turn in degrees, e.g. 2,2"
-    if isinstance(value, str):
-        try:
-            value = [float(v) for v in value.split(",")]
-        except ValueError:
-            raise CaseError(f"{where}: found {value!r}, expected {wanted}") from None
-    if not isinstance(value, Sequence) or len(value) != 2:
-        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
-    return (number(value[0], where), number(value[1], where))
-
-
-def end_place(value: Any, where: str) -> Place:
-    """A start or goal: coordinates, or a label like E2 from ``tubeplan endpoints``."""
-    if isinstance(value, str):
-        label = value.strip().upper()
-        if label[:1] == "E" and label[1:].isdigit():
-            return label
-        if "," not in value:
-            raise CaseError(f"{where}: found {value!r}, expected X,Y,Z in mm or a label like E2 from `tubeplan endpoints`")
-    return point(value, where)

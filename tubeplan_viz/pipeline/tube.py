@@ -11,9 +11,10 @@ import numpy as np
 from reports import write_report
 from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
-from tubeplan_viz.case import Case, case_table, case_text
+from tubeplan_viz.cases.tube import Case, case_table, case_text
 from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
-from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
+from tubeplan_viz.pipeline.options import RunOptions
+from tubeplan_viz.pipeline.progress import Stopwatch
 from tubeplan_viz.pipeline.tree import Tree, endpoint_details, pose_case
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.recording import Recording
@@ -22,31 +23,15 @@ from tubeplan_viz.tolerance import ToleranceSettings, path_tolerance
 from tubeplan_viz.tube import TubeProblem, conclude, tube_steps
 
 
-def run_case(
-    case: Case,
-    target: Path,
-    *,
-    force: bool = False,
-    recording: bool = True,
-    report: bool = True,
-    light: bool = False,
-    connect: str | None = None,
-    notify: Notify = silent,
-) -> dict[str, Any]:
-    """Plan one case and write its run folder.
+def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
+    """Plan one case of a tube and write its run folder.
 
     Parameters
     ----------
     case : Case
     target : Path
-        The run folder; refused if it exists, unless `force` is set.
-    recording, report : bool
-        Whether recording.rrd and report.html are made.
-    light : bool
-        Leave the CT out of the recording and thin its mesh, for recorded examples.
-    connect : str, optional
-        Address of a running rerun viewer that is fed while planning.
-    notify : Notify
+        The run folder; refused if it exists, unless `options.force` is set.
+    options : RunOptions
 
     Returns
     -------
@@ -58,14 +43,14 @@ def run_case(
     TubeplanError
         If the input is bad or no path can be begun; then no folder is left.
     """
-    watch = Stopwatch(notify)
-    with RunFolder(target, force=force) as folder:
+    watch = Stopwatch(options.notify)
+    with RunFolder(target, force=options.force) as folder:
         lumen = load_lumen(case.input, near=case.planner.start, watch=watch)
         with watch.stage("centerline"):
             problem, tree = pose_case(case, lumen)
         warnings = list(lumen.warnings)
         stream = None
-        if recording:
+        if options.recording:
             stream = Recording.open(
                 folder.path("recording.rrd"),
                 case_id=case_name(case),
@@ -73,14 +58,14 @@ def run_case(
                 planner=case.planner.name,
                 method=case.planner.method,
                 frame=problem.surface.frame,
-                connect=connect,
-                light=light,
+                connect=options.connect,
+                light=options.light,
             )
             warnings.extend(stream.warnings)
         try:
             if stream is not None:
                 with watch.stage("recording"):
-                    record_anatomy(stream, lumen, problem, light=light)
+                    record_anatomy(stream, lumen, problem, light=options.light)
             with watch.stage("plan") as progress:
                 rounds = tube_steps(problem, time_budget=case.planner.time_budget)
                 steps = follow(rounds, stream, case, progress, folder)
@@ -109,7 +94,7 @@ def run_case(
         folder.write_text("case.toml", case_text(case, target))
         folder.write_text("path.csv", path_csv(plan.profile))
         folder.write_json("path.mrk.json", slicer_markups(result))
-        if report:
+        if options.report:
             with watch.stage("report"):
                 write_report(review_of(case, lumen, written, plan, result), folder.path("report.html"))
         return folder.finish(result)

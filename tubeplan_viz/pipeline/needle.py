@@ -18,14 +18,15 @@ from segmentation.images import read_ct
 from segmentation.mesh_files import read_surface
 from segmentation.volume import Volume
 from segmentation.volume_files import read_volume_file
+from tubeplan_viz.cases.needle import NeedleCase, ObstacleCase, needle_case_table, needle_case_text
 from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, insertion_pose, push
 from tubeplan_viz.needle.obstacles import Capsule, MaskObstacle, MeshObstacle, Obstacle, Polygon, Scene, Sphere
 from tubeplan_viz.needle.planar import PlanarPath, PlanarProblem, best, plan_planar
 from tubeplan_viz.needle.replan import Event, Insertion, insert
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import NeedlePath, SwarmRound, plan_printed, plan_spatial
-from tubeplan_viz.needle_case import NeedleCase, ObstacleCase, needle_case_table, needle_case_text
-from tubeplan_viz.pipeline import Notify, Stopwatch, silent
+from tubeplan_viz.pipeline.options import RunOptions
+from tubeplan_viz.pipeline.progress import Stopwatch
 from tubeplan_viz.recording.needle import NeedleRecording
 from tubeplan_viz.result import CSV_COLUMNS, Provenance, RunFolder, assemble_result, slicer_markups
 
@@ -48,18 +49,8 @@ class Outcome:
     metrics: Mapping[str, float]
 
 
-def run_needle(
-    case: NeedleCase,
-    target: Path,
-    *,
-    force: bool = False,
-    recording: bool = True,
-    report: bool = True,
-    light: bool = False,
-    connect: str | None = None,
-    notify: Notify = silent,
-) -> dict[str, Any]:
-    """Plan one needle case and write its run folder; parameters as `tubeplan_viz.pipeline.run_case`.
+def run_needle(case: NeedleCase, target: Path, options: RunOptions) -> dict[str, Any]:
+    """Plan one needle case and write its run folder; parameters as `tubeplan_viz.planners.run_case`.
 
     Returns
     -------
@@ -71,19 +62,19 @@ def run_needle(
     TubeplanError
         If the input is bad; then no folder is left.
     """
-    watch = Stopwatch(notify)
-    with RunFolder(target, force=force) as folder:
+    watch = Stopwatch(options.notify)
+    with RunFolder(target, force=options.force) as folder:
         with watch.stage("obstacles"):
             scene, inputs, warnings = load_scene(case)
         stream = None
-        if recording:
+        if options.recording:
             stream = NeedleRecording.open(
                 folder.path("recording.rrd"),
                 case_id=case_name(case),
                 planner=case.name,
                 frame=case.frame,
-                connect=connect,
-                light=light,
+                connect=options.connect,
+                light=options.light,
             )
             warnings.extend(stream.warnings)
         try:
@@ -106,7 +97,7 @@ def run_needle(
         if result["path"] is not None:
             folder.write_text("path.csv", path_table(result, outcome))
             folder.write_json("path.mrk.json", slicer_markups(result))
-        if report:
+        if options.report:
             with watch.stage("report"):
                 result = assemble_result(content, timings_s=watch.seconds, provenance=provenance)
                 write_needle(case_name(case), result, folder.path("report.html"))

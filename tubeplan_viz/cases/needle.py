@@ -12,7 +12,7 @@ import numpy as np
 import tomli_w
 
 from segmentation.errors import CaseError
-from tubeplan_viz.case import check_keys, listed, number, point, text
+from tubeplan_viz.cases.fields import check_keys, listed, number, point, text
 from tubeplan_viz.needle.planar import PlanarSettings
 from tubeplan_viz.needle.spatial import NeedleSettings
 from tubeplan_viz.needle.swarm import SwarmSettings

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from segmentation.errors import CaseError
-from tubeplan_viz.case import case_table, case_text, make_case, read_case
+from tubeplan_viz.cases.tube import case_table, case_text, make_case, read_case
 
 MESH: dict[str, Any] = {"mesh": "lumen.stl"}
 law = settings(deadline=None, max_examples=40, derandomize=True)

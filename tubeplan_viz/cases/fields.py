@@ -1,0 +1,107 @@
+"""Values of a case file, checked one by one: what is wrong is said with its table and key."""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from segmentation.errors import CaseError
+
+Place = tuple[float, float, float] | str
+
+
+def read_table(path: Path) -> dict[str, Any]:
+    """The tables of a case file as they stand."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CaseError(f"{path.name}: no such case file") from None
+    except (OSError, UnicodeDecodeError) as fault:
+        raise CaseError(f"{path.name}: cannot be read as text ({fault.__class__.__name__}); expected a TOML case file") from None
+    except tomllib.TOMLDecodeError as fault:
+        raise CaseError(f"{path.name}: not valid TOML: {fault}") from None
+
+
+def listed(value: Any) -> Any:
+    """Tuples as lists, for TOML and JSON."""
+    return [listed(v) for v in value] if isinstance(value, tuple) else value
+
+
+def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
+    """Refuse a key that nobody reads: a typing error must not pass as a default."""
+    if not isinstance(table, Mapping):
+        raise CaseError(f"{where}: found {type(table).__name__}, expected a table")
+    for key in table:
+        if key not in known:
+            raise CaseError(f"{where}: unknown {what} {key!r}; expected one of {', '.join(known)}")
+
+
+def subtable(table: Mapping[str, Any], key: str, name: str) -> dict[str, Any]:
+    """One table of the case, as a copy; empty when it is not there."""
+    found = table.get(key, {})
+    if not isinstance(found, Mapping):
+        raise CaseError(f"{name}: {key} is {found!r}, expected a table [{key}]")
+    return dict(found)
+
+
+def text(value: Any, where: str) -> str:
+    """A value that must be text."""
+    if not isinstance(value, str | os.PathLike):
+        raise CaseError(f"{where}: found {value!r}, expected text")
+    return os.fspath(value)
+
+
+def number(value: Any, where: str, wanted: str = "a finite number") -> float:
+    """A value that must be a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
+    return float(value)
+
+
+def whole(value: Any, where: str) -> int:
+    """A value that must be a whole number."""
+    found = number(value, where, "a whole number")
+    if found != round(found):
+        raise CaseError(f"{where}: found {value!r}, expected a whole number")
+    return int(found)
+
+
+def point(value: Any, where: str) -> tuple[float, float, float]:
+    """Three finite numbers, from a list or from text ``X,Y,Z``."""
+    if isinstance(value, str):
+        try:
+            value = [float(v) for v in value.split(",")]
+        except ValueError:
+            raise CaseError(f"{where}: found {value!r}, expected X,Y,Z in mm") from None
+    if not isinstance(value, Sequence) or len(value) != 3:
+        raise CaseError(f"{where}: found {value!r}, expected three numbers in mm")
+    x, y, z = (number(v, where) for v in value)
+    return (x, y, z)
+
+
+def error_of_pose(value: Any, where: str) -> tuple[float, float]:
+    """Shift in mm and turn in degrees, from a list or from text ``MM,DEG``."""
+    wanted = "a shift in mm and a turn in degrees, e.g. 2,2"
+    if isinstance(value, str):
+        try:
+            value = [float(v) for v in value.split(",")]
+        except ValueError:
+            raise CaseError(f"{where}: found {value!r}, expected {wanted}") from None
+    if not isinstance(value, Sequence) or len(value) != 2:
+        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
+    return (number(value[0], where), number(value[1], where))
+
+
+def end_place(value: Any, where: str) -> Place:
+    """A start or goal: coordinates, or a label like E2 from ``tubeplan endpoints``."""
+    if isinstance(value, str):
+        label = value.strip().upper()
+        if label[:1] == "E" and label[1:].isdigit():
+            return label
+        if "," not in value:
+            raise CaseError(f"{where}: found {value!r}, expected X,Y,Z in mm or a label like E2 from `tubeplan endpoints`")
+    return point(value, where)

@@ -1,0 +1,93 @@
+"""Table ``[input]`` of a case file: what is read, and how the lumen is found in it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from segmentation.errors import CaseError
+from tubeplan_viz.cases.fields import check_keys, number, point, subtable, text, whole
+
+HuLimit = float | str | None
+
+ANATOMIES = ("airway", "urinary", "vessel", "generic")
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputCase:
+    """Table ``[input]``: what is read and how the lumen is found in it.
+
+    Exactly one of `ct` and `mesh` is given. Points are LPS mm for a CT, the mesh's own
+    axes in mm for a mesh.
+    """
+
+    ct: Path | None = None
+    mesh: Path | None = None
+    series: str | None = None
+    mesh_unit: str | None = None
+    part: str | None = None
+    case_id: str | None = None
+    anatomy: str | None = None
+    seed_point: tuple[float, float, float] | None = None
+    hu_min: HuLimit = None
+    hu_max: HuLimit = None
+    connectivity: int = 6
+    smoothing_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.ct is None) == (self.mesh is None):
+            raise CaseError(
+                "give either a CT (--ct, key ct in [input]) or a mesh (--mesh, key mesh in [input]), exactly one of them"
+            )
+        if self.anatomy is not None and self.anatomy not in ANATOMIES:
+            raise CaseError(f"anatomy is {self.anatomy!r}, expected one of {', '.join(ANATOMIES)}")
+        if self.connectivity not in (6, 26):
+            raise CaseError(f"connectivity is {self.connectivity}, expected 6 or 26")
+        if self.smoothing_mm is not None and not 0 <= self.smoothing_mm <= 10:
+            raise CaseError(f"smoothing_mm is {self.smoothing_mm:g}, expected 0 to 10")
+
+
+def input_case(table: Mapping[str, Any], *, folder: Path | None, name: str) -> InputCase:
+    """The table ``[input]`` of a case file, checked; relative paths start from `folder`.
+
+    Raises
+    ------
+    CaseError
+        Naming the file, the table and the key.
+    """
+    inputs = subtable(table, "input", name)
+    check_keys(inputs, [f.name for f in fields(InputCase)], f"{name} [input]", "key")
+    for key in ("ct", "mesh"):
+        if inputs.get(key) is not None:
+            path = Path(text(inputs[key], f"{name} [input] {key}")).expanduser()
+            inputs[key] = path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
+    if inputs.get("seed_point") is not None:
+        inputs["seed_point"] = point(inputs["seed_point"], f"{name} [input] seed_point")
+    for key in ("hu_min", "hu_max"):
+        if inputs.get(key) is not None and inputs[key] != "auto":
+            inputs[key] = number(inputs[key], f"{name} [input] {key}", 'a number in HU or "auto"')
+    for key in ("series", "mesh_unit", "part", "case_id", "anatomy"):
+        if inputs.get(key) is not None:
+            inputs[key] = text(inputs[key], f"{name} [input] {key}")
+    if "connectivity" in inputs:
+        inputs["connectivity"] = whole(inputs["connectivity"], f"{name} [input] connectivity")
+    if inputs.get("smoothing_mm") is not None:
+        inputs["smoothing_mm"] = number(inputs["smoothing_mm"], f"{name} [input] smoothing_mm")
+    return InputCase(**inputs)
+
+
+def input_table(case: InputCase, *, folder: Path | None) -> dict[str, Any]:
+    """The table again; input paths relative to `folder`, or names only without one."""
+    table: dict[str, Any] = {f.name: getattr(case, f.name) for f in fields(InputCase)}
+    for key in ("ct", "mesh"):
+        if table[key] is not None:
+            table[key] = shown_path(table[key], folder)
+    return table
+
+
+def shown_path(path: Path, folder: Path | None) -> str:
+    """A path relative to `folder`, or its name only: no path of the machine it ran on."""
+    return path.name if folder is None else Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
