@@ -7,10 +7,7 @@ from reports.render import (
     render_matrix,
     render_needle,
     render_report,
-    write_comparison,
-    write_matrix,
-    write_needle,
-    write_report,
+    write_page,
 )
 
 __all__ = [
@@ -21,8 +18,5 @@ __all__ = [
     "render_matrix",
     "render_needle",
     "render_report",
-    "write_comparison",
-    "write_matrix",
-    "write_needle",
-    "write_report",
+    "write_page",
 ]

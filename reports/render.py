@@ -137,17 +137,6 @@ def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
     )
 
 
-def write_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> None:
-    """Write the page of instruments against targets; readable by its owner only, on the disk when this returns.
-
-    Raises
-    ------
-    ReportError
-        If the file cannot be written.
-    """
-    _write(render_matrix(document, surface), path)
-
-
 def render_needle(case_id: str, result: Mapping[str, Any]) -> str:
     """The report of one needle run as HTML, without outside references and without scripts.
 
@@ -160,17 +149,6 @@ def render_needle(case_id: str, result: Mapping[str, Any]) -> str:
     return _filled("needle.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
 
 
-def write_needle(case_id: str, result: Mapping[str, Any], path: Path) -> None:
-    """Write the report of one needle run; readable by its owner only, on the disk when this returns.
-
-    Raises
-    ------
-    ReportError
-        If the file cannot be written.
-    """
-    _write(render_needle(case_id, result), path)
-
-
 def _style() -> str:
     """Tokens and parts that all pages share."""
     return _part("templates", "style.css").replace("/*DARK*/", _part("templates", "dark.css"))
@@ -181,29 +159,14 @@ def _filled(template: str, *, script: str, style: str, **values: Any) -> str:
     return _environment().get_template(template).render(**made, **values)
 
 
-def write_report(review: Review, path: Path) -> None:
-    """Write the report of one run; readable by its owner only, on the disk when this returns.
+def write_page(page: str, path: Path) -> None:
+    """Write a page that one of the `render` functions made; readable by its owner only, on the disk when this returns.
 
     Raises
     ------
     ReportError
         If the file cannot be written.
     """
-    _write(render_report(review), path)
-
-
-def write_comparison(comparison: Comparison, path: Path) -> None:
-    """Write the page of several runs; readable by its owner only, on the disk when this returns.
-
-    Raises
-    ------
-    ReportError
-        If the file cannot be written.
-    """
-    _write(render_comparison(comparison), path)
-
-
-def _write(page: str, path: Path) -> None:
     data = page.encode("utf-8")
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from reports import write_comparison
+from reports import render_comparison, write_page
 from tubeplan_viz.recording import record_comparison
 from tubeplan_viz.result import COMPARISON_FILES, Comparison, RunFolder, compare_runs, file_sha256, read_runs
 
@@ -49,7 +49,7 @@ def compare_folders(
             record_comparison(comparison, folder.path("recording.rrd"))
         if report:
             notify("report", 0, 0)
-            write_comparison(comparison, folder.path("report.html"))
+            write_page(render_comparison(comparison), folder.path("report.html"))
         made = [name for name in COMPARISON_FILES[1:] if folder.path(name).exists()]
         outputs = [{"name": name, "sha256": file_sha256(folder.path(name))} for name in made]
         document = comparison.document

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from reports import write_matrix
+from reports import render_matrix, write_page
 from segmentation.errors import CaseError
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.cases.tube import Case, case_table
@@ -106,7 +106,7 @@ def run_matrix(
         validate_matrix(document)
         folder.write_text("matrix.csv", matrix_csv(document))
         if report:
-            write_matrix(document, written, folder.path("report.html"))
+            write_page(render_matrix(document, written), folder.path("report.html"))
         folder.write_json("matrix.json", document)
         folder.appear()
     return document

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from reports import write_report
+from reports import render_report, write_page
 
 SPREAD = """(id) => {
   const canvas = document.getElementById(id);
@@ -28,7 +28,7 @@ BOXES = """[...document.querySelectorAll('#labels b')].filter((b) => !b.hidden).
 @pytest.fixture(scope="module")
 def report(make_review: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     target = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(make_review(), target)
+    write_page(render_report(make_review()), target)
     return target
 
 

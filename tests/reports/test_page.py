@@ -14,7 +14,7 @@ from typing import Any
 import jinja2
 import pytest
 
-from reports import ReportError, render, render_report, write_report
+from reports import ReportError, render, render_report, write_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
@@ -136,11 +136,11 @@ def test_the_file_is_the_owners_only_and_small(make_review: Any, tmp_path: Path)
     target = tmp_path / "report.html"
     target.write_text("old")
     target.chmod(0o644)
-    write_report(make_review(), target)
+    write_page(render_report(make_review()), target)
     assert stat.S_IMODE(target.stat().st_mode) == 0o600
     assert target.stat().st_size < 3_000_000
     with pytest.raises(ReportError, match=r"^report\.html cannot be written"):
-        write_report(make_review(ct=False), tmp_path / "absent" / "report.html")
+        write_page(render_report(make_review(ct=False)), tmp_path / "absent" / "report.html")
 
 
 def test_the_same_run_gives_the_same_bytes(make_review: Any) -> None:

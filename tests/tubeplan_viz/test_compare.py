@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reports import derived_values, render_comparison, write_comparison
+from reports import derived_values, render_comparison, write_page
 from reports.numbers import printed
 from segmentation.mesh import Surface
 from tubeplan_viz.cli.app import status_of
@@ -307,7 +307,7 @@ def opened(
     comparison: Comparison, browser: Any, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[Any, list[str], list[str]]]:
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_comparison(comparison, path)
+    write_page(render_comparison(comparison), path)
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     faults: list[str] = []
     asked: list[str] = []

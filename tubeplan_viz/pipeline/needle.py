@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from reports import write_needle
+from reports import render_needle, write_page
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from segmentation.images import read_ct
@@ -100,7 +100,7 @@ def run_needle(case: NeedleCase, target: Path, options: RunOptions) -> dict[str,
         if options.report:
             with watch.stage("report"):
                 result = assemble_result(content, timings_s=watch.seconds, provenance=provenance)
-                write_needle(case_name(case), result, folder.path("report.html"))
+                write_page(render_needle(case_name(case), result), folder.path("report.html"))
         return folder.finish(result)
 
 

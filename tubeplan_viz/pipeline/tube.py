@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from reports import write_report
+from reports import render_report, write_page
 from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.cases.tube import Case, case_table, case_text
@@ -96,7 +96,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
         folder.write_json("path.mrk.json", slicer_markups(result))
         if options.report:
             with watch.stage("report"):
-                write_report(review_of(case, lumen, written, plan, result), folder.path("report.html"))
+                write_page(render_report(review_of(case, lumen, written, plan, result)), folder.path("report.html"))
         return folder.finish(result)
 
 
