@@ -1,0 +1,75 @@
+"""What moves the robot while a plan grows: kinematics alone, or a simulator. A planner sees no difference."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from segmentation.arrays import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One order: bend and bending plane of each active section, and how far to push.
+
+    Attributes
+    ----------
+    phi_proximal, phi_distal : float
+        Bend, radian, 0 to the robot's largest.
+    theta_proximal, theta_distal : float
+        Angle of the bending plane about the section's own base axis, radian.
+    push : float
+        How far the shaft is pushed in, mm; negative pulls back.
+    """
+
+    phi_proximal: float
+    theta_proximal: float
+    phi_distal: float
+    theta_distal: float
+    push: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Step:
+    """The robot after a command.
+
+    Attributes
+    ----------
+    state : Any
+        What the mover needs to go on from here; opaque, never changed, so a tree of steps can branch from any of them.
+    command : Command or None
+        The order that led here; None at the start.
+    tip : (4, 4) float array
+        Pose of the distal front disc in the lumen's frame, mm; the third column is the direction of view.
+    body : (m, 3) float array
+        Places along the robot's axis from the trachea to the tip, mm, at most 1 mm apart.
+    disc_clearance : float
+        Least signed distance of the distal front disc's rim to the wall, mm; below 0 it cuts the wall.
+    body_clearance : float
+        Least distance of the axis to the wall less the robot's radius, mm.
+    contacts : (k, 3) float array
+        Places of contact with the wall, mm; (0, 3) where the mover has no contact.
+    forces : (k,) float array
+        Their normal forces, N.
+    """
+
+    state: Any
+    command: Command | None
+    tip: FloatArray
+    body: FloatArray
+    disc_clearance: float
+    body_clearance: float
+    contacts: FloatArray
+    forces: FloatArray
+
+
+class Mover(Protocol):
+    """Moves the robot in one lumen."""
+
+    def start(self) -> Step:
+        """The robot at rest at the entrance."""
+        ...
+
+    def move(self, step: Step, command: Command) -> Step:
+        """The robot after `command`, begun from `step`; the same step and command always give the same outcome."""
+        ...
