@@ -17,7 +17,8 @@ class Command:
     phi_proximal, phi_distal : float
         Bend, radian, 0 to the robot's largest.
     theta_proximal, theta_distal : float
-        Angle of the bending plane about the section's own base axis, radian.
+        Angle of the bending plane about the section's own base axis, radian. Sections bend without twist: the frame at a
+        section's end is its base's turned by phi about the plane's normal (`kinematics.section_transform`).
     push : float
         How far the shaft is pushed in, mm; negative pulls back.
     """
@@ -39,6 +40,9 @@ class Step:
         What the mover needs to go on from here; opaque, never changed, so a tree of steps can branch from any of them.
     command : Command or None
         The order that led here; None at the start.
+    base : (4, 4) float array
+        Pose of the proximal section's base in the lumen's frame, mm; the third column runs along the axis, and the bending
+        plane's angle theta_proximal counts from the first column about it.
     tip : (4, 4) float array
         Pose of the distal front disc in the lumen's frame, mm; the third column is the direction of view.
     body : (m, 3) float array
@@ -55,6 +59,7 @@ class Step:
 
     state: Any
     command: Command | None
+    base: FloatArray
     tip: FloatArray
     body: FloatArray
     disc_clearance: float

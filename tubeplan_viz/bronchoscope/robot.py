@@ -18,9 +18,10 @@ class Robot:
     diameter : float
         Outer diameter, mm.
     proximal_length, distal_length : float
-        Arc length of the active sections, mm; the distal one carries the tip.
+        Arc length of the active sections, mm; the distal one carries the tip. The text calls its parameters virtual; the
+        only lengths it states are L2 = L3 = 1 with n = 12 (its figure 2), read as mm: ``L1 = n L2 + L3 = 13``.
     bend_max : float
-        Largest bend of each active section, radian.
+        Largest bend of each active section, radian (90 degrees in the text); the passive section bends as sharply.
     links : int
         Rigid links per active section in the chain model.
     push_speed : float
@@ -31,8 +32,8 @@ class Robot:
 
     name: str = "two-section"
     diameter: float = 3.5
-    proximal_length: float = 30.0
-    distal_length: float = 30.0
+    proximal_length: float = 13.0
+    distal_length: float = 13.0
     bend_max: float = math.pi / 2
     links: int = 12
     push_speed: float = 15.0
@@ -49,6 +50,11 @@ class Robot:
     def radius(self) -> float:
         """Outer radius, mm."""
         return self.diameter / 2.0
+
+    @property
+    def curvature_max(self) -> float:
+        """Largest curvature of any section, 1/mm."""
+        return self.bend_max / min(self.proximal_length, self.distal_length)
 
     @property
     def active_length(self) -> float:
