@@ -147,12 +147,21 @@ def chord(length: ArrayLike, curvature: ArrayLike) -> tuple[FloatArray, FloatArr
     return push * sinc * np.cos(half), push * sinc * np.sin(half)
 
 
+def cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Cross products of (..., 3) vectors; numpy's own takes five times as long on the short arrays of one path."""
+    a, b, c = first[..., 0], first[..., 1], first[..., 2]
+    x, y, z = second[..., 0], second[..., 1], second[..., 2]
+    made = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    made[..., 0], made[..., 1], made[..., 2] = b * z - c * y, c * x - a * z, a * y - b * x
+    return made
+
+
 def frame_of(tangent: FloatArray, normal: FloatArray) -> FloatArray:
     """Rotation with z along the tangent and -y along the normal, (3, 3), made exactly orthogonal."""
     z = tangent / np.linalg.norm(tangent)
     y = -(normal - (normal @ z) * z)
     y /= np.linalg.norm(y)
-    return np.column_stack([np.cross(y, z), y, z])
+    return np.column_stack([cross(y, z), y, z])
 
 
 def bend(pose: Pose, turns: FloatArray, lengths: FloatArray, curvatures: FloatArray) -> Arcs:
@@ -185,7 +194,7 @@ def bend_from(
     )
     starts, tangents, normals, ends, end_tangents, end_normals = np.empty((6, *shape))
     p, t, n = position, tangent, normal
-    side = np.cross(t, n)
+    side = cross(t, n)
     for k in range(shape[-2]):
         c, s = cos_turn[..., k, :], sin_turn[..., k, :]
         n, side = c * n + s * side, c * side - s * n

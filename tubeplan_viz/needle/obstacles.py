@@ -18,7 +18,7 @@ from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.needle.kinematics import Arcs, chord
+from tubeplan_viz.needle.kinematics import Arcs, chord, cross
 
 STRAIGHT = 1e-12  # 1/mm; an arc of this curvature leaves its tangent by less than rounding
 
@@ -232,7 +232,7 @@ def arc_distance(arcs: Arcs, centers: FloatArray) -> FloatArray:
     # Coordinates of the points in each piece's own frame, (..., n, m): products of matrices, no array of differences.
     x, y, z = (
         axis @ centers.T - np.einsum("...d,...d->...", axis, arcs.starts)[..., None]
-        for axis in (arcs.tangents, arcs.normals, np.cross(arcs.tangents, arcs.normals))
+        for axis in (arcs.tangents, arcs.normals, cross(arcs.tangents, arcs.normals))
     )
     forward, aside = (v[..., None] for v in chord(arcs.lengths, arcs.curvatures))
     flat, across = x * x + y * y, z * z

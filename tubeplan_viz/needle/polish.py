@@ -2,7 +2,8 @@
 
 # Strategy: sequential quadratic programming over the same unknowns, with the tip on the target as three equations
 # and the distance of every piece to every obstacle as inequalities; all derivatives come from one vectorised
-# evaluation of 2 d + 1 neighbours. A few Gauss-Newton steps then close the tip to rounding.
+# evaluation of 2 d + 1 neighbours. Unknowns are scaled to steps of like effect on the tip. A few Gauss-Newton steps then
+# close the tip to rounding.
 """
 
 from __future__ import annotations
@@ -18,13 +19,15 @@ MARGIN = 1e-6  # mm kept beyond the safety distance, so that closing the tip doe
 SAMPLED_MARGIN = 0.05  # the same where an obstacle has no closed formula and is sampled
 MOST_GAPS = 80
 CLOSED = 1e-9  # mm
+COST, TIP, GAPS = slice(0, 1), slice(1, 4), slice(4, None)
 
 
 class _Outputs:
-    """Objective, tip and distances of a path with their derivatives, computed once per place."""
+    """Objective, tip and distances of a path with their derivatives, computed once per place; unknowns in units of `scale`."""
 
     def __init__(self, problem: SpatialProblem, safety: float) -> None:
         self.problem, self.safety = problem, safety
+        self.scale = scales(problem)
         self.by_piece = len(problem.scene) * problem.settings.pieces <= MOST_GAPS
         self._key = b""
         self._value: FloatArray = np.empty(0)
@@ -44,8 +47,16 @@ class _Outputs:
             columns.append((gaps.reshape(len(x), -1) if self.by_piece else near) - self.safety)
         return np.column_stack([cost, *columns])
 
+    def value(self, y: FloatArray, part: slice) -> FloatArray:
+        """A part of the values at scaled unknowns, as a copy: SLSQP writes into what it is given."""
+        return self.at(y * self.scale)[0][part].copy()
+
+    def slope(self, y: FloatArray, part: slice) -> FloatArray:
+        """The same part's derivatives by scaled unknowns, as a copy."""
+        return np.asarray(self.at(y * self.scale)[1][part] * self.scale)
+
     def at(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Values (q,) and derivatives (q, d)."""
+        """Values (q,) and derivatives (q, d); not to be written to."""
         key = x.tobytes()
         if key != self._key:
             steps = STEP * np.eye(len(x))
@@ -53,6 +64,15 @@ class _Outputs:
             self._key, self._value = key, rows[0]
             self._slope = ((rows[1 : 1 + len(x)] - rows[1 + len(x) :]) / (2.0 * STEP)).T
         return self._value, self._slope
+
+
+def scales(problem: SpatialProblem) -> FloatArray:
+    """Steps of the unknowns that move the tip about as far: 0.3 rad of turn, 5 mm of push and the like, (d,)."""
+    n, s = problem.settings.pieces, problem.settings
+    curvature, entry, tilt = problem.free
+    return np.concatenate(
+        [np.full(n, 0.3), np.full(n, 5.0), np.full(n * curvature, 0.3 * s.kappa), np.full(2 * entry, 5.0), np.full(2 * tilt, 0.05)]
+    )
 
 
 def polish(problem: SpatialProblem, start: FloatArray, *, safety: float | None = None, error: float = 0.0) -> FloatArray | None:
@@ -82,24 +102,24 @@ def polish(problem: SpatialProblem, start: FloatArray, *, safety: float | None =
     if error > 0.0:
         tip = {
             "type": "ineq",
-            "fun": lambda x: np.array([error**2 - (outputs.at(x)[0][1:4] ** 2).sum()]),
-            "jac": lambda x: -2.0 * (outputs.at(x)[0][1:4] @ outputs.at(x)[1][1:4])[None],
+            "fun": lambda y: np.array([error**2 - (outputs.value(y, TIP) ** 2).sum()]),
+            "jac": lambda y: -2.0 * (outputs.value(y, TIP) @ outputs.slope(y, TIP))[None],
         }
     else:
-        tip = {"type": "eq", "fun": lambda x: outputs.at(x)[0][1:4], "jac": lambda x: outputs.at(x)[1][1:4]}
+        tip = {"type": "eq", "fun": lambda y: outputs.value(y, TIP), "jac": lambda y: outputs.slope(y, TIP)}
     limits = [tip]
     if len(problem.scene):
-        limits.append({"type": "ineq", "fun": lambda x: outputs.at(x)[0][4:], "jac": lambda x: outputs.at(x)[1][4:]})
+        limits.append({"type": "ineq", "fun": lambda y: outputs.value(y, GAPS), "jac": lambda y: outputs.slope(y, GAPS)})
     found = minimize(
-        lambda x: outputs.at(x)[0][0],
-        np.clip(start, low, high),
-        jac=lambda x: outputs.at(x)[1][0],
-        bounds=list(zip(low, high, strict=True)),
+        lambda y: float(outputs.value(y, COST)[0]),
+        np.clip(start, low, high) / outputs.scale,
+        jac=lambda y: outputs.slope(y, COST)[0],
+        bounds=list(zip(low / outputs.scale, high / outputs.scale, strict=True)),
         constraints=limits,
         method="SLSQP",
         options={"maxiter": 20, "ftol": 1e-4},
     )
-    x = np.clip(found.x, low, high)
+    x = np.clip(found.x * outputs.scale, low, high)
     if not np.isfinite(x).all():
         return None
     if error == 0.0:
