@@ -1,11 +1,14 @@
 """CT series made by calculation, with known truth."""
 
+from segmentation.synthetic.airway import Airway, AirwayBranch, weibel_airway
 from segmentation.synthetic.collecting_system import Branch, CollectingSystem, collecting_system
 from segmentation.synthetic.scanner import ScannerSettings, scan
 from segmentation.synthetic.shapes import round_cone_distance
 from segmentation.synthetic.urography import Urography, UrographySettings, urography, write_demo_series
 
 __all__ = [
+    "Airway",
+    "AirwayBranch",
     "Branch",
     "CollectingSystem",
     "ScannerSettings",
@@ -15,5 +18,6 @@ __all__ = [
     "round_cone_distance",
     "scan",
     "urography",
+    "weibel_airway",
     "write_demo_series",
 ]
