@@ -127,7 +127,7 @@ class Head:
             _either(oval, _both(wedge, low + share * (FLOOR - low) - self.z)) < 0.0, solid.shape
         )
         nasal_bone = _both(front + 1.2 - self.y, self.y - front - 3.4, self.across - half_width(self.z) + 1.2, 18.0 - self.z)
-        self._put(_both(nasal_bone, self.z - 44.0), BONE, Tissue.BONE)
+        self._put(_both(nasal_bone, self.z - 40.0), BONE, Tissue.BONE)
 
     def _skull(self) -> None:
         def inside(grow: float) -> FloatArray:
