@@ -198,9 +198,9 @@ def _tree(generations: int) -> list[AirwayBranch]:
     branches = [AirwayBranch(name="trachea", generation=0, parent=-1, points=trachea, radius=0.5 * WEIBEL_DIAMETERS[0], turn=0.0)]
     sides = [np.array([-1.0, 0.0, 0.0])]  # direction of roll 0 of each branch's children
     for made in OFFSHOOTS:
-        parent = next(number for number, branch in enumerate(branches) if branch.name == made.parent)
-        generation = branches[parent].generation + 1
-        if generation <= generations:
+        parent = next((number for number, branch in enumerate(branches) if branch.name == made.parent), None)
+        if parent is not None and branches[parent].generation < generations:
+            generation = branches[parent].generation + 1
             length = LENGTHS[generation] if made.length is None else made.length
             _add(branches, sides, made.name, parent, np.radians(made.turn), np.radians(made.roll), length)
     for generation in range(4, generations + 1):

@@ -29,9 +29,9 @@ def test_the_wall_lies_on_the_tubes(airway: Airway) -> None:
     wall = airway.surface.vertices[np.unique(airway.surface.wall_faces)]
     away = np.abs(airway.clearance(wall))
     # Linear interpolation of a distance is off by about voxel^2 / (8 r), 0.05 mm at r = 1.75; only the creases at the
-    # carinae, where two tubes meet, are rounded by up to half a voxel.
+    # carinae, where two tubes meet, and the trachea's rim are rounded, by less than a voxel.
     assert np.percentile(away, 99) < 0.05
-    assert away.max() < 0.4
+    assert away.max() < 0.8
 
 
 def test_the_route_to_the_apical_segment_bends_by_180_degrees(airway: Airway) -> None:
