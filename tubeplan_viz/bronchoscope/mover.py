@@ -69,10 +69,14 @@ class Step:
 
 
 class Mover(Protocol):
-    """Moves the robot in one lumen."""
+    """Moves the robot in one lumen.
+
+    A mover is made with the wall's surface, the robot and the entrance: a pose (4, 4) in the lumen's frame in the
+    middle of the trachea's upper end, its third column into the lumen (`kinematics.pose_along`).
+    """
 
     def start(self) -> Step:
-        """The robot at rest at the entrance."""
+        """The robot at rest: straight, the proximal section's base at the entrance, both active sections inside."""
         ...
 
     def move(self, step: Step, command: Command) -> Step:
