@@ -10,10 +10,11 @@ from segmentation.arrays import FloatArray
 from tubeplan_viz.bench.needle_scenes import SCENES, TARGETS, columns, planar, replanned, scattered
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.cases.needle import NeedleCase, make_needle_case
+from tubeplan_viz.needle.insertion import insert
 from tubeplan_viz.needle.kinematics import insertion_pose, push
+from tubeplan_viz.needle.monte_carlo import MonteCarloSettings, monte_carlo
 from tubeplan_viz.needle.obstacles import Scene, Sphere
 from tubeplan_viz.needle.planar import PlanarProblem, PlanarSettings, best, close, plan_planar, sides_of, weigh
-from tubeplan_viz.needle.replan import insert, monte_carlo
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
 from tubeplan_viz.pipeline import Notify, silent
@@ -140,7 +141,7 @@ def insertions(name: str, case: NeedleCase, target: tuple[float, ...] | None, ru
     path = plan_spatial(problem, case.swarm, rng=np.random.default_rng(0), front=False)
     assert path.pose is not None
     assert path.controls is not None
-    found = monte_carlo(problem, path.pose, path.controls, runs=runs, rng=np.random.default_rng(1))
+    found = monte_carlo(problem, path.pose, path.controls, MonteCarloSettings(runs=runs), rng=np.random.default_rng(1))
     told = f"{runs} insertions, {name}"
     middle, high = (float(np.percentile(found.errors, share)) for share in (50, 95))
     return [

@@ -18,6 +18,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -209,6 +210,37 @@ def bend_from(
 def push(pose: Pose, controls: Controls) -> Arcs:
     """The pieces of one path, (n, 3) each."""
     return bend(pose, controls.turns, controls.lengths, controls.curvatures)
+
+
+def poses_along(pose: Pose, controls: Controls, ratios: FloatArray) -> FloatArray:
+    """Poses after each piece of one path, for several ratios of the true curvature to that of the controls.
+
+    Parameters
+    ----------
+    pose : Pose
+    controls : Controls
+        n pieces.
+    ratios : (k,) array
+
+    Returns
+    -------
+    (n, k, 4, 4) float array
+        Position in the last column, mm; the product of the pieces' motions.
+    """
+    forward, aside = chord(controls.lengths[:, None], controls.curvatures[:, None] * ratios)
+    angle = controls.lengths[:, None] * controls.curvatures[:, None] * ratios
+    c, s = np.cos(angle), np.sin(angle)
+    turn_c, turn_s = np.cos(controls.turns)[:, None], np.sin(controls.turns)[:, None]
+    moves = np.zeros((*angle.shape, 4, 4))
+    moves[..., 0, 0], moves[..., 1, 0], moves[..., 3, 3] = turn_c, turn_s, 1.0
+    # The turn about z, then the bend about x.
+    moves[..., 0, 1], moves[..., 0, 2], moves[..., 0, 3] = -turn_s * c, turn_s * s, turn_s * aside
+    moves[..., 1, 1], moves[..., 1, 2], moves[..., 1, 3] = turn_c * c, -turn_c * s, -turn_c * aside
+    moves[..., 2, 1], moves[..., 2, 2], moves[..., 2, 3] = s, c, forward
+    first = np.eye(4)
+    first[:3, :3], first[:3, 3] = pose.frame, pose.position
+    moves[0] = first @ moves[0]
+    return np.array(list(accumulate(moves, np.matmul)))
 
 
 def twist(curvature: float, spin: float) -> FloatArray:

@@ -71,7 +71,13 @@ def scales(problem: SpatialProblem) -> FloatArray:
     n, s = problem.settings.pieces, problem.settings
     curvature, entry, tilt = problem.free
     return np.concatenate(
-        [np.full(n, 0.3), np.full(n, 5.0), np.full(n * curvature, 0.3 * s.kappa), np.full(2 * entry, 5.0), np.full(2 * tilt, 0.05)]
+        [
+            np.full(n, 0.3),
+            np.full(n, 5.0),
+            np.full(n * curvature, 0.3 * s.kappa),
+            np.full(2 * entry, 5.0),
+            np.full(2 * tilt, 0.05),
+        ]
     )
 
 

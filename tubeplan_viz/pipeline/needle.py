@@ -19,10 +19,11 @@ from segmentation.mesh_files import read_surface
 from segmentation.volume import Volume
 from segmentation.volume_files import read_volume_file
 from tubeplan_viz.cases.needle import NeedleCase, ObstacleCase, needle_case_table, needle_case_text
+from tubeplan_viz.needle.events import Event
+from tubeplan_viz.needle.insertion import Insertion, insert
 from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, insertion_pose, push
 from tubeplan_viz.needle.obstacles import Capsule, MaskObstacle, MeshObstacle, Obstacle, Polygon, Scene, Sphere
 from tubeplan_viz.needle.planar import PlanarPath, PlanarProblem, best, plan_planar
-from tubeplan_viz.needle.replan import Event, Insertion, insert
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import NeedlePath, SwarmRound, plan_printed, plan_spatial
 from tubeplan_viz.pipeline.options import RunOptions

@@ -8,8 +8,10 @@ import pytest
 from segmentation.errors import CaseError
 from tubeplan_viz.bench.needle_scenes import replanned
 from tubeplan_viz.cases.needle import make_needle_case
+from tubeplan_viz.needle.events import Event
+from tubeplan_viz.needle.insertion import Insertion, InsertionSettings, insert
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
-from tubeplan_viz.needle.replan import Event, Insertion, InsertionSettings, insert, monte_carlo
+from tubeplan_viz.needle.monte_carlo import MonteCarloSettings, monte_carlo
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
 from tubeplan_viz.pipeline.needle import event_of, load_scene
@@ -81,7 +83,7 @@ def test_the_true_curvature_is_found_from_the_measured_tips() -> None:
 
 
 def test_many_insertions_end_near_the_target_and_touch_nothing(plan: tuple[Pose, Controls]) -> None:
-    found = monte_carlo(PROBLEM, *plan, runs=6, rng=np.random.default_rng(2))
+    found = monte_carlo(PROBLEM, *plan, MonteCarloSettings(runs=6), rng=np.random.default_rng(2))
     assert len(found.errors) + found.withdrawn == 6
     assert np.median(found.errors) < 1.0
     assert found.touched == 0
