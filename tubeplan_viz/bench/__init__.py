@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from tubeplan_viz.bench.centerline import centerline
+from tubeplan_viz.bench.certificate import certificate
 from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
@@ -12,6 +13,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "paper": paper,
     "centerline": centerline,
     "optimal": optimal,
+    "certificate": certificate,
     "needle2d": needle2d,
     "needle3d": needle3d,
 }
