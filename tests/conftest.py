@@ -29,13 +29,39 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
-@pytest.fixture(scope="session")
-def phantoms() -> ModuleType:
-    """tests/phantoms.py; `tests` itself must not be on the import path, where it would hide the packages."""
-    spec = importlib.util.spec_from_file_location("phantoms", Path(__file__).with_name("phantoms.py"))
+def _helper(name: str) -> ModuleType:
+    """A module of this folder; `tests` itself must not be on the import path, where it would hide the packages."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules["phantoms"] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def phantoms() -> ModuleType:
+    """tests/phantoms.py."""
+    return _helper("phantoms")
+
+
+@pytest.fixture(scope="session")
+def head_ct() -> Any:
+    """A real head CT as a volume, see tests/head_ct.py; its face is recognisable, no picture of it may be kept."""
+    helper = _helper("head_ct")
+    if not helper.CRANIUM.exists():
+        pytest.skip("Debian's package invesalius-examples is not installed")
+    return helper.read_head_ct()
+
+
+@pytest.fixture(scope="session")
+def head_ct_file(head_ct: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as a NIfTI file."""
+    import SimpleITK as sitk
+
+    image = sitk.GetImageFromArray(head_ct.voxels)
+    image.SetSpacing(head_ct.spacing[::-1].tolist())
+    path: Path = tmp_path_factory.mktemp("head") / "head.nii"
+    sitk.WriteImage(image, str(path))
+    return path

@@ -133,7 +133,7 @@ def _entry(side: str, volume: Volume, give: tuple[float, float]) -> EntryRegion:
     """The nostril's voxels from its closed form, and the region widened by the skin's give."""
     sign = 1.0 if side == "left" else -1.0
     nostril = np.zeros(volume.voxels.shape, dtype=bool)
-    for column in range(nostril.shape[2]):
+    for column in range(volume.voxels.shape[2]):
         x = sign * float(volume.to_lps([0.0, 0.0, column])[0])
         if head.SEPTUM_HALF < x < float(head.half_width(head.rim(x))) - head.ALA:
             front, rear = volume.to_index(nostril_segment(side, x))
