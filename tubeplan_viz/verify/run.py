@@ -10,6 +10,7 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
+from segmentation.arrays import FloatArray
 from tubeplan_viz.result import ResultError, RunFolderError, validate_result
 from tubeplan_viz.verify.claims import (
     check_features_and_centerline,
@@ -136,8 +137,7 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
         page = yield from _opened("report.html", folder, lambda text: text)
     yield from check_ends(result, case)
     yield from check_limits(result, case)
-    spline = result["spline"]
-    path = BezierPath.from_spline(spline["degree"], np.array(spline["knots"]), np.array(spline["control_points_mm"], dtype=float))
+    path = _path_of(result)
     try:
         mesh: MeshFile | None = read_mesh(folder / "mesh.ply")
     except MeshFileError as fault:
@@ -165,11 +165,34 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
 
 
 def _measured_checks(result: dict[str, Any], path: BezierPath, mesh: MeshFile, table: str | None) -> Iterator[Check]:
-    own: OwnProfile = measure(path, _lumen(result, mesh))
-    for check in (check_spline_and_path, check_profile, check_metrics, check_verdict, check_features_and_centerline):
-        yield from check(result, own)
+    own = measure(path, _lumen(result, mesh))
+    yield from _claims(result, own)
     if table is not None:
         yield from check_table(table, result, own.samples)
+
+
+def check_path(result: Mapping[str, Any], wall: FloatArray, ends: FloatArray) -> tuple[Check, ...]:
+    """What result.json says of its path, held against the surface: the part of `verify_run` that measures.
+
+    Parameters
+    ----------
+    result : mapping
+        The content of a result.json that follows its schema.
+    wall, ends : (m, 3, 3) float array, mm
+        Triangles that count for clearance, and those of the end caps, which do not.
+    """
+    path = _path_of(result)
+    return tuple(_claims(result, measure(path, Lumen(Triangles(wall), Triangles(ends)))))
+
+
+def _claims(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check]:
+    for check in (check_spline_and_path, check_profile, check_metrics, check_verdict, check_features_and_centerline):
+        yield from check(result, own)
+
+
+def _path_of(result: Mapping[str, Any]) -> BezierPath:
+    spline = result["spline"]
+    return BezierPath.from_spline(spline["degree"], np.array(spline["knots"]), np.array(spline["control_points_mm"], dtype=float))
 
 
 def _lumen(result: Mapping[str, Any], mesh: MeshFile) -> Lumen:
