@@ -45,12 +45,16 @@ class Step:
         plane's angle theta_proximal counts from the first column about it.
     tip : (4, 4) float array
         Pose of the distal front disc in the lumen's frame, mm; the third column is the direction of view.
+    track : (k, 3) float array
+        Places of the tip on the way from the step before, this step's tip last, mm, at most 1 mm apart; only the tip at the
+        start.
     body : (m, 3) float array
-        Places along the robot's axis from the trachea to the tip, mm, at most 1 mm apart.
+        Places along the robot's axis from the entrance to the tip, mm, at most 1 mm apart.
     disc_clearance : float
-        Least signed distance of the distal front disc's rim to the wall, mm; below 0 it cuts the wall.
+        Least signed distance of the distal front disc's rim to the wall on the way from the step before, mm; below 0 it
+        cuts the wall.
     body_clearance : float
-        Least distance of the axis to the wall less the robot's radius, mm.
+        Least signed distance of the axis to the wall less the robot's radius on that way, mm; with contacts about 0.
     contacts : (k, 3) float array
         Places of contact with the wall, mm; (0, 3) where the mover has no contact.
     forces : (k,) float array
@@ -61,6 +65,7 @@ class Step:
     command: Command | None
     base: FloatArray
     tip: FloatArray
+    track: FloatArray
     body: FloatArray
     disc_clearance: float
     body_clearance: float
