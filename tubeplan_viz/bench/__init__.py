@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from tubeplan_viz.bench.centerline import centerline
 from tubeplan_viz.bench.certificate import certificate
+from tubeplan_viz.bench.faults import faults
 from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
@@ -14,6 +15,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "centerline": centerline,
     "optimal": optimal,
     "certificate": certificate,
+    "faults": faults,
     "needle2d": needle2d,
     "needle3d": needle3d,
 }
