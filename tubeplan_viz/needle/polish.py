@@ -140,6 +140,15 @@ def polish(problem: SpatialProblem, start: FloatArray, *, safety: float | None =
     return x if np.linalg.norm(values[1:4]) <= max(error, CLOSED) * (1.0 + 1e-6) else None
 
 
+def closed(problem: SpatialProblem, x: FloatArray) -> FloatArray | None:
+    """The nearest unknowns whose tip is the target to rounding, whatever they come near to; None if there are none."""
+    low, high = problem.bounds
+    low, high = low.copy(), high.copy()
+    n = problem.settings.pieces
+    low[:n], high[:n] = -np.inf, np.inf
+    return close_tip(problem, _Outputs(problem, 0.0), np.clip(x, low, high), low, high)
+
+
 def close_tip(problem: SpatialProblem, outputs: _Outputs, x: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray | None:
     """The nearest unknowns whose tip is the target to rounding, or None: Gauss-Newton, least steps within the bounds."""
     for _ in range(25):

@@ -15,7 +15,7 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
 from tubeplan_viz.needle.polish import polish
-from tubeplan_viz.needle.spatial import SpatialProblem
+from tubeplan_viz.needle.spatial import SpatialProblem, bounded
 from tubeplan_viz.needle.swarm import SwarmSettings, cost_of, plan_spatial
 from tubeplan_viz.needle.zigzag import best_starts
 
@@ -83,11 +83,6 @@ def mended(problem: SpatialProblem, starts: list[FloatArray]) -> FloatArray | No
     """The cheapest path that the polish makes of some starts and that keeps its distance everywhere, or None."""
     made = [x for start in starts if (x := polish(problem, start)) is not None and bounded(problem, x)]
     return min(made, key=lambda row: cost_of(problem, row)) if made else None
-
-
-def bounded(problem: SpatialProblem, x: FloatArray) -> bool:
-    """Whether the path keeps its distance at every point of it."""
-    return not len(problem.scene) or bool(problem.scene.least_distance(problem.arcs(x)).min() >= problem.settings.safety)
 
 
 def padded(problem: SpatialProblem, rest: Controls) -> FloatArray:

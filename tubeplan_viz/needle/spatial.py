@@ -11,6 +11,7 @@ from segmentation.arrays import FloatArray, frozen_array
 from segmentation.errors import CaseError
 from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, bend_from, frame_of
 from tubeplan_viz.needle.obstacles import Scene, danger
+from tubeplan_viz.needle.skin import Skin
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,7 +29,8 @@ class NeedleSettings:
     duty_cycle : bool
         Allow any curvature from 0 to kappa by spinning a part of the time; the source's needle always bends.
     entry_radius : float, mm
-        The entry may be chosen within this distance of the one given, across its direction.
+        The entry may be chosen within this distance of the one given, across its direction; on the skin, where the
+        problem has one.
     cone : float, radian
         The direction may be chosen within this angle of the one given.
     piece_min : float, mm
@@ -74,6 +76,8 @@ class SpatialProblem:
     target : (3,) float array, mm
     scene : Scene
     settings : NeedleSettings
+    skin : Skin or None
+        Where the needle can go in; without one the plane through the pose, across its direction.
     under_way : bool
         The needle is in the tissue already: entry and direction are no longer free.
     """
@@ -82,6 +86,7 @@ class SpatialProblem:
     target: FloatArray
     scene: Scene
     settings: NeedleSettings
+    skin: Skin | None = None
     under_way: bool = False
 
     def __post_init__(self) -> None:
@@ -146,6 +151,8 @@ class SpatialProblem:
             size = np.linalg.norm(offset, axis=-1, keepdims=True)
             offset = offset * np.minimum(1.0, s.entry_radius / np.maximum(size, 1e-12))
             position = position + offset @ frame[:, :2].T
+            if self.skin is not None:
+                position = position + self.skin.depth(offset)[..., None] * frame[:, 2]
         if self.free[2]:
             size = np.linalg.norm(rest, axis=-1, keepdims=True)
             angle = np.minimum(size, s.cone)
@@ -186,3 +193,8 @@ def worth(problem: SpatialProblem, x: FloatArray) -> Worth:
     if len(problem.scene):
         risk = danger(problem.scene.piece_distances(arcs).min(axis=-2), problem.settings.safety)
     return Worth(error, arcs.lengths.sum(axis=-1), risk)
+
+
+def bounded(problem: SpatialProblem, x: FloatArray) -> bool:
+    """Whether the path keeps its distance at every point of it."""
+    return not len(problem.scene) or bool(problem.scene.least_distance(problem.arcs(x)).min() >= problem.settings.safety)

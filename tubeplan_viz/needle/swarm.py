@@ -9,21 +9,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
-from tubeplan_viz.needle.kinematics import Controls, Pose
+from tubeplan_viz.needle.front import pareto_front
+from tubeplan_viz.needle.path import NeedlePath, SwarmRound, measured
 from tubeplan_viz.needle.polish import polish
 from tubeplan_viz.needle.spatial import SpatialProblem, Worth, worth
 from tubeplan_viz.needle.zigzag import best_starts
 
 CLOUD_EVERY = 10  # rounds between two pictures of the population
-TIGHTER = (1.0, 2.0, 4.0)  # mm of distance beyond the safety distance on the Pareto front
-LOOSER = (0.5, 1.0, 2.0)  # mm of tip error on the Pareto front
-FRONT_SHOWN = 40
 ZIGZAGS = 2  # starts of the polish besides the swarm's
 
 
@@ -61,75 +59,6 @@ class SwarmSettings:
             raise CaseError(f"restarts is {self.restarts}, expected 1 to 1000")
         if not 0.0 < self.stop_error <= 10.0:
             raise CaseError(f"stop_error_mm is {self.stop_error:g}, expected more than 0 and at most 10")
-
-
-@dataclass(frozen=True, eq=False)
-class SwarmRound:
-    """The swarm after one round; `best` (d,) unknowns, `cloud` (k, d) of the whole population now and then, or None."""
-
-    index: int
-    restart: int
-    best: FloatArray
-    error: float
-    length: float
-    danger: float
-    cloud: FloatArray | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Tradeoff:
-    """One path of the Pareto front: no other found is better in error, length and danger at once."""
-
-    pose: Pose
-    controls: Controls
-    error: float
-    length: float
-    danger: float
-    clearance: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class NeedlePath:
-    """A path in space that ends on the target, or why there is none.
-
-    Attributes
-    ----------
-    pose, controls : Pose and Controls, or None without a path
-    clearances : (m,) float array, mm
-        Lower bound of the distance to each obstacle, along the whole path.
-    error, length, danger : float
-    rounds : tuple of SwarmRound
-    front : tuple of Tradeoff
-        By danger and length.
-    reason : str or None
-    swarms : int
-        Swarms that were run.
-    """
-
-    pose: Pose | None = None
-    controls: Controls | None = None
-    clearances: FloatArray | None = None
-    error: float = np.inf
-    danger: float = np.inf
-    rounds: tuple[SwarmRound, ...] = ()
-    front: tuple[Tradeoff, ...] = ()
-    reason: str | None = None
-    swarms: int = 0
-
-    @property
-    def feasible(self) -> bool:
-        """Whether there is a path."""
-        return self.controls is not None
-
-    @property
-    def length(self) -> float:
-        """Length, mm; infinite without a path."""
-        return np.inf if self.controls is None else self.controls.length
-
-    @property
-    def clearance(self) -> float:
-        """Least distance to any obstacle, mm; infinite without obstacles."""
-        return np.inf if self.clearances is None or not len(self.clearances) else float(self.clearances.min())
 
 
 def weights(length: float, distance: float) -> tuple[float, float]:
@@ -259,20 +188,8 @@ def plan_spatial(
             break
     if best is None:
         return NeedlePath(rounds=tuple(rounds), swarms=swarms, reason=no_path(problem, nearest, swarms))
-    found = made_path(problem, best, tuple(rounds), swarms)
-    if not found.feasible or not front:
-        return found
-    points = pareto_front(problem, best, rounds)
-    return NeedlePath(
-        pose=found.pose,
-        controls=found.controls,
-        clearances=found.clearances,
-        error=found.error,
-        danger=found.danger,
-        rounds=found.rounds,
-        front=points,
-        swarms=swarms,
-    )
+    found = measured(problem, *problem.controls(best), rounds=tuple(rounds), swarms=swarms)
+    return replace(found, front=pareto_front(problem, best, rounds)) if found.feasible and front else found
 
 
 def plan_printed(
@@ -293,7 +210,7 @@ def plan_printed(
     if not np.isfinite(last.danger) or last.error >= settings.stop_error:
         nearest = last if np.isfinite(last.danger) else None
         return NeedlePath(rounds=tuple(rounds), swarms=1, reason=no_path(problem, nearest, 1))
-    return made_path(problem, last.best, tuple(rounds), 1)
+    return measured(problem, *problem.controls(last.best), rounds=tuple(rounds), swarms=1)
 
 
 def cost_of(problem: SpatialProblem, x: FloatArray) -> float:
@@ -302,71 +219,9 @@ def cost_of(problem: SpatialProblem, x: FloatArray) -> float:
     return float(found.length[0] + problem.settings.weight_danger * found.danger[0])
 
 
-def made_path(problem: SpatialProblem, x: FloatArray, rounds: tuple[SwarmRound, ...], swarms: int) -> NeedlePath:
-    """The path with its own measures; its distances bounded over every point of it."""
-    pose, controls = problem.controls(x)
-    arcs = problem.arcs(x)
-    gaps = problem.scene.least_distance(arcs)
-    if len(gaps) and gaps.min() < problem.settings.safety:
-        worst = int(gaps.argmin())
-        return NeedlePath(
-            rounds=rounds,
-            swarms=swarms,
-            reason=f"the best path comes to {gaps[worst]:.3f} mm from obstacle {worst + 1}, "
-            f"under safety_mm {problem.settings.safety:g}",
-        )
-    return NeedlePath(
-        pose=pose,
-        controls=controls,
-        clearances=gaps,
-        error=float(np.linalg.norm(arcs.tips - problem.target)),
-        danger=float((problem.settings.safety / gaps).sum()) if len(gaps) else 0.0,
-        rounds=rounds,
-        swarms=swarms,
-    )
-
-
 def no_path(problem: SpatialProblem, nearest: SwarmRound | None, swarms: int) -> str:
     """Why no path was found, one sentence."""
     tried = f"{swarms} swarm{'' if swarms == 1 else 's'} of at most {problem.settings.pieces} pieces"
     if nearest is None:
         return f"no path was found: in {tried} every path came within {problem.settings.safety:g} mm of an obstacle"
     return f"no path was found: the nearest of {tried} that keeps its distance ends {nearest.error:.2f} mm from the target"
-
-
-def pareto_front(problem: SpatialProblem, best: FloatArray, rounds: list[SwarmRound]) -> tuple[Tradeoff, ...]:
-    """Paths that are not worse than another in error, length and danger at once.
-
-    Polished ones at larger distances and at allowed tip errors, and the swarm's own populations.
-    """
-    exact = [best]
-    for more in TIGHTER:
-        made = polish(problem, exact[-1], safety=problem.settings.safety + more) if len(problem.scene) else None
-        if made is not None:
-            exact.append(made)
-    exact += [made for error in LOOSER if (made := polish(problem, best, error=error)) is not None]
-    clouds = [state.cloud for state in rounds if state.cloud is not None]
-    leads = [state.best[None] for state in rounds[:: max(1, len(rounds) // 200)]]
-    pool = np.vstack([np.array(exact), *clouds[-30:], *leads])
-    found = worth(problem, pool)
-    goals = np.column_stack([np.where(found.error < 1e-6, 0.0, found.error), found.length, found.danger])
-    near = np.flatnonzero(np.isfinite(goals).all(axis=1) & (goals[:, 0] <= 5.0))
-    front = near[undominated(goals[near])]
-    front = front[np.argsort(goals[front] @ [1e3, 1.0, 0.0], kind="stable")][:FRONT_SHOWN]
-    made_front = []
-    for row in front:
-        pose, controls = problem.controls(pool[row])
-        gaps = problem.scene.piece_distances(problem.arcs(pool[row]))
-        least = float(gaps.min()) if gaps.size else np.inf
-        made_front.append(Tradeoff(pose, controls, float(goals[row, 0]), float(goals[row, 1]), float(goals[row, 2]), least))
-    return tuple(made_front)
-
-
-def undominated(goals: FloatArray) -> FloatArray:
-    """Rows of (k, 3) goals that no other row beats in one and equals or beats in all: their numbers."""
-    order = np.lexsort(goals.T[::-1])
-    kept: list[int] = []
-    for row in order:
-        if not any((goals[other] <= goals[row]).all() for other in kept):
-            kept.append(int(row))
-    return np.array(kept, dtype=int)

@@ -23,9 +23,10 @@ from tubeplan_viz.needle.events import Event
 from tubeplan_viz.needle.insertion import Insertion, insert
 from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, insertion_pose, push
 from tubeplan_viz.needle.obstacles import Capsule, MaskObstacle, MeshObstacle, Obstacle, Polygon, Scene, Sphere
+from tubeplan_viz.needle.path import NeedlePath, SwarmRound
 from tubeplan_viz.needle.planar import PlanarPath, PlanarProblem, best, plan_planar
 from tubeplan_viz.needle.spatial import SpatialProblem
-from tubeplan_viz.needle.swarm import NeedlePath, SwarmRound, plan_printed, plan_spatial
+from tubeplan_viz.needle.swarm import plan_printed, plan_spatial
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Stopwatch
 from tubeplan_viz.recording.needle import NeedleRecording

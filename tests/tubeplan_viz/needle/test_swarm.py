@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from segmentation.errors import CaseError
+from tubeplan_viz.needle.front import undominated
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
 from tubeplan_viz.needle.obstacles import Capsule, Scene, Sphere
+from tubeplan_viz.needle.path import NeedlePath
 from tubeplan_viz.needle.spatial import NeedleSettings, SpatialProblem
-from tubeplan_viz.needle.swarm import NeedlePath, SwarmSettings, plan_printed, plan_spatial, undominated, weights
+from tubeplan_viz.needle.swarm import SwarmSettings, plan_printed, plan_spatial, weights
 
 ORIGIN = Pose(np.zeros(3), np.eye(3))
 
