@@ -27,6 +27,7 @@ from reports.slices import LEVELS, REACH_MM, ReducedVolume, Window, reduce_volum
 from reports.still import Label, View, choose_view, still_picture
 from reports.svg import LEFT, RIGHT, WIDTHS
 from reports.tables import KINDS, FeatureRow, MeasureRow, feature_rows, measures
+from reports.walk import Walk, film_data, walk_of
 from reports.wall import RIM_PLACES, RIM_STEP_MM, LightMesh, light_mesh, packed
 from reports.words import Verdict, verdict, worst_place
 from reports.workspace import Course, Straight
@@ -63,6 +64,7 @@ class Page:
     narrowest: float | None
     sharpest: float | None
     places: tuple[Place, ...]
+    walk: Walk | None
     measures: tuple[MeasureRow, ...]
     steps: Mapping[str, Markup]
     steps_line: str
@@ -134,6 +136,7 @@ def make_page(review: Review) -> Page:
         narrowest=_value(worst_place(source, "clearance")),
         sharpest=_value(worst_place(source, "curvature")),
         places=critical_places(course, source, volume, window) if course is not None else (),
+        walk=walk_of(source, review.film),
         measures=measures(source, first),
         steps=workspace.steps(source),
         steps_line=_steps_line(source),
@@ -144,7 +147,8 @@ def make_page(review: Review) -> Page:
         growth=_growth(review),
         folds=folds(source, parts),
         result=result,
-        scene=_scene(course, source, first, mesh, reduced, windows, view, labels, stretches, parts, ramp),
+        scene=_scene(course, source, first, mesh, reduced, windows, view, labels, stretches, parts, ramp)
+        | {"film": film_data(review.film)},
     )
 
 

@@ -4,6 +4,7 @@ from tubeplan_viz.geometry.bounds import Bound, clearance_lower_bound, curvature
 from tubeplan_viz.geometry.curvature import circumcenter, menger_curvature
 from tubeplan_viz.geometry.curve import SplineCurve
 from tubeplan_viz.geometry.distance import WallDistance
+from tubeplan_viz.geometry.frames import moving_frames
 
 __all__ = [
     "Bound",
@@ -13,4 +14,5 @@ __all__ = [
     "clearance_lower_bound",
     "curvature_upper_bound",
     "menger_curvature",
+    "moving_frames",
 ]

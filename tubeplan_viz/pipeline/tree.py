@@ -12,7 +12,15 @@ from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from tubeplan_viz.cases.fields import Place
 from tubeplan_viz.cases.tube import Case
-from tubeplan_viz.centerline import CenterlineSettings, Endpoint, VoronoiGraph, find_endpoints, voronoi_graph
+from tubeplan_viz.centerline import (
+    CenterlineSettings,
+    CenterlineTree,
+    Endpoint,
+    VoronoiGraph,
+    centerline_tree,
+    find_endpoints,
+    voronoi_graph,
+)
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.pipeline.lumen import Lumen
 from tubeplan_viz.tube import TubeProblem, pose_problem
@@ -79,6 +87,15 @@ def pose_case(case: Case, lumen: Lumen) -> tuple[TubeProblem, Tree]:
             tree = replace(tree, surface=marked, wall=wall, graph=voronoi_graph(marked, wall))
     problem = pose_problem(tree.surface, start, goal, case.limits, settings, wall=tree.wall, graph=tree.graph)
     return problem, tree
+
+
+def branches_from(
+    tree: Tree, start: np.ndarray, goal: np.ndarray, *, settings: CenterlineSettings | None = None
+) -> CenterlineTree:
+    """Centerlines from the start to every other end of the lumen and, as the last target, to the goal."""
+    tips = [tip.point for tip in tree.endpoints if np.linalg.norm(tip.point - start) > tip.radius]
+    others = [point for point in tips if np.linalg.norm(point - goal) > 1e-6]
+    return centerline_tree(tree.graph, tree.wall, start, np.array([*others, goal]), settings)
 
 
 def endpoint_details(tip: Endpoint) -> dict[str, Any]:

@@ -12,10 +12,12 @@ from reports import render_report, write_page
 from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.cases.tube import Case, case_table, case_text
+from tubeplan_viz.endoluminal import Film
 from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Stopwatch
-from tubeplan_viz.pipeline.tree import Tree, endpoint_details, pose_case
+from tubeplan_viz.pipeline.tree import Tree, branches_from, endpoint_details, pose_case
+from tubeplan_viz.pipeline.walk import film_of, walk_details
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.recording import Recording
 from tubeplan_viz.result import Provenance, Review, RunFolder, build_result, path_csv, slicer_markups
@@ -75,6 +77,13 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
             written = write_ply(problem.surface, folder.path("mesh.ply"))
             provenance = Provenance(inputs=lumen.inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
             details = case_details(case, lumen, tree, written, warnings)
+            with watch.stage("walk"):
+                branches = branches_from(tree, problem.start, problem.goal, settings=case.centerline)
+                details["walk"] = walk_details(plan.profile, branches, problem.surface.frame)
+            film = None
+            if (options.recording or options.report) and not options.light:
+                with watch.stage("views from the tip") as progress:
+                    film = film_of(problem.surface, plan, progress)
             if case.planner.tolerance is not None:
                 with watch.stage("tolerance"):
                     details["tolerance"] = tolerance_details(case, problem, plan)
@@ -84,6 +93,8 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
 
             if stream is not None:
                 with watch.stage("recording"):
+                    if film is not None:
+                        stream.log_film(film)
                     stream.finish(document())
                     stream.close()
         except BaseException:
@@ -96,7 +107,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
         folder.write_json("path.mrk.json", slicer_markups(result))
         if options.report:
             with watch.stage("report"):
-                write_page(render_report(review_of(case, lumen, written, plan, result)), folder.path("report.html"))
+                write_page(render_report(review_of(case, lumen, written, plan, result, film)), folder.path("report.html"))
         return folder.finish(result)
 
 
@@ -184,7 +195,7 @@ def surface_details(surface: Surface) -> dict[str, Any]:
     return {"faces": len(surface.faces), "wall_faces": len(surface.wall_faces), "volume_ml": surface.volume_ml, "caps": caps}
 
 
-def review_of(case: Case, lumen: Lumen, surface: Surface, plan: Plan, result: Mapping[str, Any]) -> Review:
+def review_of(case: Case, lumen: Lumen, surface: Surface, plan: Plan, result: Mapping[str, Any], film: Film | None) -> Review:
     """The run as the report sees it."""
     return Review(
         case_id=case_name(case),
@@ -195,6 +206,7 @@ def review_of(case: Case, lumen: Lumen, surface: Surface, plan: Plan, result: Ma
         facts=lumen.facts,
         first=profile_lists(plan.steps[0]),
         last=profile_lists(plan.steps[-1]),
+        film=film,
     )
 
 

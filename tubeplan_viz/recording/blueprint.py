@@ -28,6 +28,7 @@ class Contents:
     middle_slice: int = 0
     has_growth: bool = False
     has_camera: bool = False
+    has_film: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -113,14 +114,18 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
             )
         )
     space: rrb.View | rrb.Container = rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else scene
+    row: list[rrb.View | rrb.Container] = []
     if contents.has_ct:
         pixels = FIELD_MM / PIXEL_MM
         bounds = rrb.VisualBounds2D(x_range=(0.0, pixels), y_range=(0.0, pixels))
-        planes = [
+        row += [
             rrb.Spatial2DView(origin=f"{at.CT}/{plane}", name=f"CT, {plane}", background=(0, 0, 0), visual_bounds=bounds)
             for plane in at.PLANES
         ]
-        space = rrb.Vertical(space, rrb.Horizontal(*planes), row_shares=[7, 3])
+    if contents.has_film:
+        row.append(rrb.Spatial2DView(origin=at.FILM, name="From the tip (timeline arc_length)", background=(0, 0, 0)))
+    if row:
+        space = rrb.Vertical(space, rrb.Horizontal(*row), row_shares=[7, 3])
     limits = contents.limits
     plots = [
         _bars(FlagKind.CLEARANCE, f"Clearance, mm over arc length in mm (limit {limits.clearance_min:g})"),

@@ -15,6 +15,7 @@ from segmentation.mesh import Surface
 from segmentation.region_growing import GrowthCurve, Region
 from segmentation.volume import Volume
 from tubeplan_viz.centerline import Centerline
+from tubeplan_viz.endoluminal import Film
 from tubeplan_viz.plan import Limits, PlanStep
 from tubeplan_viz.recording import entities as at
 
@@ -163,6 +164,14 @@ class Recording:
 
         anatomy.log_growth(self._sink, curve)
         self._contents = replace(self._contents, has_growth=True)
+        self._show()
+
+    def log_film(self, film: Film) -> None:
+        """Pictures from the tip along the planned path."""
+        from tubeplan_viz.recording.film import log_film
+
+        log_film(self._sink, film)
+        self._contents = replace(self._contents, has_film=True)
         self._show()
 
     def log_decision(self, text: str, *, level: str = "INFO") -> None:

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from segmentation.arrays import FloatArray, IntArray
+from segmentation.arrays import IntArray
+from tubeplan_viz.geometry import moving_frames
 from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.plans import Track
@@ -26,45 +27,6 @@ def walk_ticks(length: float, step: float = STEP_MM) -> IntArray:
     return np.unique(
         np.append(np.arange(0.0, length, step) * at.TICKS_PER_MM, np.floor(length * at.TICKS_PER_MM)).round()
     ).astype(np.int64)
-
-
-def moving_frames(points: FloatArray) -> FloatArray:
-    """Rotation-minimising frames along a polyline by double reflection [1]_.
-
-    Parameters
-    ----------
-    points : (n, 3) float array, mm
-        n >= 2, no two neighbours equal.
-
-    Returns
-    -------
-    (n, 3, 3) float array
-        Columns are normal, binormal and tangent; right-handed. The first normal
-        points as far up (+z) as it can.
-
-    References
-    ----------
-    .. [1] Wang, W., Juettler, B., Zheng, D., Liu, Y. (2008). Computation of rotation
-       minimizing frames. ACM Transactions on Graphics, 27(1), 2.
-    """
-    tangents = np.gradient(points, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    normals = np.empty_like(points)
-    up = np.array([0.0, 0.0, 1.0]) if abs(tangents[0, 2]) < 0.9 else np.array([0.0, -1.0, 0.0])
-    first = up - (up @ tangents[0]) * tangents[0]
-    normals[0] = first / np.linalg.norm(first)
-    for i in range(len(points) - 1):
-        chord = points[i + 1] - points[i]
-        square = chord @ chord
-        normal = normals[i] - (2.0 / square) * (chord @ normals[i]) * chord
-        tangent = tangents[i] - (2.0 / square) * (chord @ tangents[i]) * chord
-        bend = tangents[i + 1] - tangent
-        square = bend @ bend
-        if square > 1e-24:
-            normal = normal - (2.0 / square) * (bend @ normal) * bend
-        normal -= (normal @ tangents[i + 1]) * tangents[i + 1]
-        normals[i + 1] = normal / np.linalg.norm(normal)
-    return np.stack([normals, np.cross(tangents, normals), tangents], axis=2)
 
 
 def log_walk(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval], limits: Limits, *, light: bool) -> None:

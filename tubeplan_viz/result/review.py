@@ -9,6 +9,7 @@ from typing import Any
 from segmentation.mesh import Surface
 from segmentation.region_growing import Region
 from segmentation.volume import Volume
+from tubeplan_viz.endoluminal import Film
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,6 +32,8 @@ class Review:
     first, last : mapping of str to list of float
         Profiles of iteration 0 and of the planned path: ``s_mm``, ``points_mm``,
         ``curvature_per_mm``, ``clearance_mm``.
+    film : Film or None
+        Pictures from the tip along the path.
     """
 
     case_id: str
@@ -41,3 +44,4 @@ class Review:
     facts: Mapping[str, str] = field(default_factory=dict)
     first: Mapping[str, Any] = field(default_factory=dict)
     last: Mapping[str, Any] = field(default_factory=dict)
+    film: Film | None = None

@@ -145,6 +145,17 @@ async function pictures() {
   new ResizeObserver(() => tiles(now)).observe($('across').parentElement);
 }
 
+// --- the view from the tip --------------------------------------------------------------------
+if (extra.film && $('tip')) {
+  let shown = -1;
+  views.push((i) => {
+    const k = nearest(extra.film.s, arc[i]);
+    $('cap-tip').textContent = mm(extra.film.s[k]);
+    if (k !== shown) $('tip').src = `data:image/jpeg;base64,${extra.film.pictures[k]}`;
+    shown = k;
+  });
+}
+
 // --- 3D ------------------------------------------------------------------------------------------
 async function space() {
   const view3d = await turnable(extra, {
