@@ -11,7 +11,22 @@ from typer.exceptions import TyperException
 
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
-from tubeplan_viz.cli import bench, compare, demo, endpoints, init, inspect, matrix, plan, plan_needle, run, segment, verify, view
+from tubeplan_viz.cli import (
+    bench,
+    compare,
+    demo,
+    endpoints,
+    export,
+    init,
+    inspect,
+    matrix,
+    plan,
+    plan_needle,
+    run,
+    segment,
+    verify,
+    view,
+)
 from tubeplan_viz.plan import NoPathError
 
 OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
@@ -40,6 +55,7 @@ for name, command in (
     ("verify", verify.verify),
     ("compare", compare.compare),
     ("view", view.view),
+    ("export", export.export),
     ("matrix", matrix.matrix),
     ("bench", bench.bench),
 ):

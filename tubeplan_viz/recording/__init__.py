@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from tubeplan_viz.recording.native_viewer import has_display, show_native
 from tubeplan_viz.recording.readback import RecordedIteration, RecordedPath, RecordedRun, read_recording
+from tubeplan_viz.recording.single_file import write_single_file
 from tubeplan_viz.recording.stream import Recording
 from tubeplan_viz.recording.viewer_program import ViewerError
 from tubeplan_viz.recording.web_viewer import WebViewer
@@ -60,4 +61,5 @@ __all__ = [
     "record_comparison",
     "record_matrix",
     "show_native",
+    "write_single_file",
 ]

@@ -3,14 +3,15 @@
 from tubeplan_viz.result.comparison import COMPARISON_FILES, ComparedRun, Comparison, compare_runs, read_runs
 from tubeplan_viz.result.document import Provenance, assemble_result, build_result, plain, result_text
 from tubeplan_viz.result.errors import ResultError, RunFolderError
-from tubeplan_viz.result.exports import CSV_COLUMNS, path_csv, slicer_markups
-from tubeplan_viz.result.folder import RunFolder, file_sha256, is_run, read_result
+from tubeplan_viz.result.exports import CSV_COLUMNS, flag_markups, path_csv, slicer_markups
+from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, read_result
 from tubeplan_viz.result.review import Review
 from tubeplan_viz.result.schema import result_schema, validate_result
 
 __all__ = [
     "COMPARISON_FILES",
     "CSV_COLUMNS",
+    "RESULT",
     "ComparedRun",
     "Comparison",
     "Provenance",
@@ -22,6 +23,7 @@ __all__ = [
     "build_result",
     "compare_runs",
     "file_sha256",
+    "flag_markups",
     "is_run",
     "path_csv",
     "plain",

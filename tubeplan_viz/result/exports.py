@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ MARKUPS_SCHEMA = (
 # Slicer draws a spline through the control points; at most this far from the path, and at most this far apart.
 CHORD_ERROR_MM = 0.02
 CONTROL_SPACING_MM = 5.0
+PATH_COLOR = [0.10, 0.55, 0.95]
+FLAG_COLORS = {"clearance": [0.88, 0.54, 0.0], "curvature": [0.78, 0.25, 0.04]}
 
 
 def path_csv(profile: PathProfile) -> str:
@@ -66,10 +68,75 @@ def slicer_markups(result: Mapping[str, Any]) -> dict[str, Any]:
         _control(f"{feature['kind']} {feature['s_mm']:.1f} mm", index + 1, feature["point_mm"])
         for index, feature in enumerate(result["feature_points"] or [])
     ]
-    markups = [_markup("Curve", f"path ({frame})", curve, color=[0.10, 0.55, 0.95], labels=False)]
+    markups = [
+        _markup("Curve", f"path ({frame})", curve, color=PATH_COLOR, labels=False, measurements=_measurements(result, kept))
+    ]
     if features:
         markups.append(_markup("Fiducial", f"features ({frame})", features, color=[0.95, 0.75, 0.10], labels=True))
     return {"@schema": MARKUPS_SCHEMA, "markups": markups}
+
+
+def flag_markups(result: Mapping[str, Any]) -> dict[str, Any]:
+    """The flagged stretches as points for 3D Slicer: one list for each limit, a point where each stretch is worst.
+
+    Parameters
+    ----------
+    result : mapping
+        Content of result.json, with a path and at least one flagged interval.
+
+    Returns
+    -------
+    dict
+        Markups schema 1.0.3; each point's description says the stretch, the worst value and the limit, and the list's
+        measurement ``worst`` holds the worst values as numbers.
+    """
+    s, points = np.asarray(result["path"]["s_mm"]), np.asarray(result["path"]["points_mm"])
+    markups = []
+    for kind, color in FLAG_COLORS.items():
+        flags = [flag for flag in result["flagged_intervals"] if flag["kind"] == kind]
+        unit, key = ("mm", "clearance_min_mm") if kind == "clearance" else ("1/mm", "curvature_max_per_mm")
+        controls = []
+        for number, flag in enumerate(flags, start=1):
+            place = [float(np.interp(flag["worst_at_mm"], s, points[:, k])) for k in range(3)]
+            control = _control(f"{kind} {flag['worst']:.3g} {unit} at {flag['worst_at_mm']:.1f} mm", number, place)
+            stretch = f"from {flag['from_mm']!r} to {flag['to_mm']!r} mm, worst {flag['worst']!r} {unit}"
+            controls.append(
+                control | {"description": f"{stretch} at {flag['worst_at_mm']!r} mm, limit {result['limits'][key]!r}"}
+            )
+        if flags:
+            worst = _measurement("worst", None, unit, f"Worst {kind} of each stretch", [flag["worst"] for flag in flags])
+            markups.append(_markup("Fiducial", f"flagged {kind}", controls, color=color, labels=True, measurements=[worst]))
+    return {"@schema": MARKUPS_SCHEMA, "markups": markups}
+
+
+def _measurements(result: Mapping[str, Any], kept: IntArray) -> list[dict[str, Any]]:
+    """Key figures of the path, and its curvature and clearance at the control points."""
+    metrics, path = result["metrics"], result["path"]
+    figures = (
+        ("path length", "length_mm", "mm", "Length of the path"),
+        ("path curvature max", "curvature_max_per_mm", "1/mm", "Largest curvature"),
+        ("path curvature mean", "curvature_mean_per_mm", "1/mm", "Mean curvature over arc length"),
+        ("path clearance min", "clearance_min_mm", "mm", "Least distance from the path to the wall"),
+        ("path clearance mean", "clearance_mean_mm", "mm", "Mean distance from the path to the wall over arc length"),
+    )
+    made = [_measurement(name, metrics[key], unit, text) for name, key, unit, text in figures if metrics[key] is not None]
+    for name, key, unit in (("path curvature", "curvature_per_mm", "1/mm"), ("path clearance", "clearance_mm", "mm")):
+        if path[key] is not None:
+            values = [path[key][index] for index in kept.tolist()]
+            made.append(_measurement(name, None, unit, f"{name.capitalize()} at each control point", values))
+    return made
+
+
+def _measurement(
+    name: str, value: float | None, units: str, description: str, values: Sequence[float] | None = None
+) -> dict[str, Any]:
+    # The names differ from 3D Slicer's own (length, curvature mean), which it works out again from the drawn curve.
+    made: dict[str, Any] = {"name": name, "enabled": True, "units": units, "description": description, "printFormat": "%.4g %s"}
+    if value is not None:
+        made["value"] = value
+    if values is not None:
+        made["controlPointValues"] = list(values)
+    return made
 
 
 def curve_controls(points: FloatArray) -> IntArray:
@@ -120,7 +187,15 @@ def _control(label: str, number: int, position: list[float]) -> dict[str, Any]:
     }
 
 
-def _markup(kind: str, name: str, controls: list[dict[str, Any]], *, color: list[float], labels: bool) -> dict[str, Any]:
+def _markup(
+    kind: str,
+    name: str,
+    controls: list[dict[str, Any]],
+    *,
+    color: list[float],
+    labels: bool,
+    measurements: list[dict[str, Any]] | None = None,
+) -> dict[str, Any]:
     return {
         "type": kind,
         "name": name,
@@ -130,7 +205,7 @@ def _markup(kind: str, name: str, controls: list[dict[str, Any]], *, color: list
         "fixedNumberOfControlPoints": True,
         "labelFormat": "%N-%d",
         "controlPoints": controls,
-        "measurements": [],
+        "measurements": measurements or [],
         "display": {
             "visibility": True,
             "opacity": 1.0,
