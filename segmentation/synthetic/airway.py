@@ -40,8 +40,8 @@ class Offshoot:
     ----------
     turn : float, degrees
     roll : float, degrees
-        Of the turn's plane about the parent's direction; 0 turns towards the body's side on which the
-        branch lies (right is -x) and, seen along the parent, 90 further turns to the front.
+        Of the turn's plane about the parent's direction; 0 goes on turning in the frontal plane the way the parent turned (the
+        trachea's to the right), 180 the other way, 90 to the front, -90 to the back.
     length : float, mm, or None for the generation's own
     """
 
@@ -65,7 +65,7 @@ OFFSHOOTS = (
     Offshoot(name="right anterior segment", parent="right upper lobe", turn=50.0, roll=90.0),
     Offshoot(name="right middle lobe", parent="bronchus intermedius", turn=55.0, roll=90.0),
     Offshoot(name="right lower lobe", parent="bronchus intermedius", turn=15.0, roll=-90.0),
-    Offshoot(name="left apicoposterior segment", parent="left upper lobe", turn=80.0, roll=180.0),
+    Offshoot(name="left upper division", parent="left upper lobe", turn=80.0, roll=180.0),
     Offshoot(name="lingula", parent="left upper lobe", turn=45.0, roll=90.0),
     Offshoot(name="left superior segment", parent="left lower lobe", turn=70.0, roll=-90.0),
     Offshoot(name="left basal trunk", parent="left lower lobe", turn=20.0, roll=90.0),
@@ -223,7 +223,9 @@ def _add(
     """Append one branch: an arc out of the parent's direction, then a line."""
     stem = branches[parent]
     ahead, side = stem.direction, sides[parent]
-    towards = np.cos(roll) * side + np.sin(roll) * np.cross(ahead, side)
+    front = np.cross(ahead, side)
+    front *= -1.0 if front[1] > 0.0 else 1.0
+    towards = np.cos(roll) * side + np.sin(roll) * front
     diameter = WEIBEL_DIAMETERS[stem.generation + 1]
     bend = ARC_DIAMETERS * diameter
     angle = np.linspace(0.0, turn, max(int(np.ceil(turn * bend / ARC_STEP)), 2) + 1)[:, None]
