@@ -18,7 +18,8 @@ from tubeplan_viz.needle.planar import PlanarProblem, PlanarSettings, best, clos
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
 from tubeplan_viz.pipeline import Notify, silent
-from tubeplan_viz.pipeline.needle import event_of, load_scene
+from tubeplan_viz.pipeline.needle_ground import load_ground
+from tubeplan_viz.pipeline.needle_plan import event_of
 
 ZHAO, HUO = "Zhao et al. 2013, table 2", "Huo et al. 2015"
 GRID = {1: 4000, 2: 160}  # lengths along each free axis
@@ -72,7 +73,7 @@ def needle2d(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
 
 def flat_problem(case: NeedleCase) -> PlanarProblem:
     """A planar case posed."""
-    return PlanarProblem(np.array(case.entry), np.array(case.target), load_scene(case)[0], case.planar)
+    return PlanarProblem(np.array(case.entry), np.array(case.target), load_ground(case).scene, case.planar)
 
 
 def random_scene(rng: np.random.Generator) -> PlanarProblem:
@@ -155,7 +156,7 @@ def insertions(name: str, case: NeedleCase, target: tuple[float, ...] | None, ru
 def space_problem(case: NeedleCase, target: tuple[float, ...] | None = None) -> SpatialProblem:
     """A case in space posed, to its own target or another."""
     pose = insertion_pose(case.entry, case.direction)
-    return SpatialProblem(pose, np.array(target or case.target), load_scene(case)[0], case.needle)
+    return SpatialProblem(pose, np.array(target or case.target), load_ground(case).scene, case.needle)
 
 
 def success(name: str, case: NeedleCase, seeds: int, notify: Notify) -> list[Row]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,24 @@ import numpy as np
 import tomli_w
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, listed, number, point, text
+from tubeplan_viz.cases.fields import check_keys, listed, number, point, subtable, text
+from tubeplan_viz.cases.needle_rows import (
+    HU_KEYS,
+    MONTE_CARLO_KEYS,
+    EventCase,
+    ObstacleCase,
+    event_case,
+    located,
+    monte_carlo_settings,
+    obstacle_case,
+    place,
+)
+from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 from tubeplan_viz.needle.planar import PlanarSettings
 from tubeplan_viz.needle.spatial import NeedleSettings
 from tubeplan_viz.needle.swarm import SwarmSettings
 
-NEEDLES = {"needle2d": ("forms",), "needle3d": ("swarm", "printed")}
-FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
+NEEDLES = {"needle2d": ("forms",), "needle3d": ("swarm", "printed", "rrt")}
 # Key of the table [needle2d] -> attribute of PlanarSettings; degrees become radian.
 PLANAR_KEYS = {
     "radius_mm": "radius",
@@ -48,29 +59,7 @@ SPACE_KEYS = {
 }
 WHOLE = ("degree_max", "pieces", "particles", "rounds", "restarts")
 PLACES = ("entry", "target", "direction")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObstacleCase:
-    """One ``[[obstacles]]``: lengths in mm; `file` for a mesh or mask, with `hu_min` a CT of which voxels from there on count."""
-
-    kind: str
-    center: tuple[float, ...] | None = None
-    radius_mm: float | None = None
-    points: tuple[tuple[float, ...], ...] | None = None
-    file: Path | None = None
-    hu_min: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class EventCase:
-    """One ``[[events]]``: an obstacle (from 1) moves to `center`, the target moves, or the true curvature is `kappa`."""
-
-    at_mm: float
-    obstacle: int | None = None
-    center: tuple[float, float, float] | None = None
-    target: tuple[float, float, float] | None = None
-    kappa: float | None = None
+INPUTS = ("case_id", "ct", "series", *HU_KEYS[:3])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +67,7 @@ class NeedleCase:
     """One needle case, complete: running it again gives the same plan.
 
     Places have two numbers (y, z) for needle2d and three for needle3d, mm. `frame` is "LPS" for patient
-    coordinates, otherwise "mesh": the case's own axes.
+    coordinates, otherwise "mesh": the case's own axes. `ct` is what pictures and, with `skin`, the entry are taken from.
     """
 
     name: str
@@ -92,6 +81,10 @@ class NeedleCase:
     time_budget: float | None = None
     obstacles: tuple[ObstacleCase, ...] = ()
     events: tuple[EventCase, ...] = ()
+    ct: Path | None = None
+    series: str | None = None
+    skin: bool = False
+    monte_carlo: MonteCarloSettings = field(default_factory=MonteCarloSettings)
     planar: PlanarSettings = field(default_factory=PlanarSettings)
     needle: NeedleSettings = field(default_factory=NeedleSettings)
     swarm: SwarmSettings = field(default_factory=SwarmSettings)
@@ -117,6 +110,7 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
 
     The needle's own keys stand in the table named after the planner; at the top of the file, in ``[planner]``, ``[input]`` or
     ``[limits]`` they are taken too. ``curvature_max`` and ``clearance_min`` of ``[limits]`` are kappa and safety_mm.
+    ``ct`` of ``[input]`` with ``hu_min`` is an obstacle too: the CT's voxels from there on.
 
     Raises
     ------
@@ -128,8 +122,9 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
     if which not in NEEDLES:
         raise CaseError(f"{name} [planner]: there is no needle planner {which!r}, expected {' or '.join(NEEDLES)}")
     known = set(PLANAR_KEYS if which == "needle2d" else SPACE_KEYS) | {*PLACES, "kappa", "radius_mm", "safety_mm", "frame"}
+    known |= {"skin"} if which == "needle3d" else set()
     own = gathered(table, planner, which, known, name)
-    case_id = dict(table.get("input", {})).get("case_id")
+    given = {key: own.pop(key) for key in INPUTS if key in own}
     check_keys(planner, ("method", "rng_seed", "time_budget"), f"{name} [planner]", "key")
     method = text(planner.get("method", NEEDLES[which][0]), f"{name} [planner] method")
     if method not in NEEDLES[which]:
@@ -141,9 +136,15 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
         raise CaseError(f"{name}: no target was given; give target = {'[y, z]' if flat else '[x, y, z]'} in mm (--target)")
     if flat and "direction" in places:
         raise CaseError(f"{name}: needle2d finds its own insertion angle; leave direction out (angle_max_deg limits it)")
-    frame = text(own.pop("frame", "mesh"), f"{name} frame")
+    bodies = [*table.get("obstacles", []), *grown_bodies(given, flat, name)]
+    frame = text(own.pop("frame", "LPS" if "ct" in given else "mesh"), f"{name} frame")
     if frame not in ("LPS", "mesh"):
         raise CaseError(f"{name} frame: found {frame!r}, expected LPS (patient) or mesh (the case's own axes)")
+    if flat and ("events" in table or "monte_carlo" in table):
+        raise CaseError(f"{name}: events and the Monte Carlo are of needle3d; leave them out for needle2d")
+    skin = flag(own.pop("skin", False), f"{name} skin")
+    if skin and "ct" not in given:
+        raise CaseError(f"{name} skin: there is no CT that shows the skin; name it as ct in [input] (--ct)")
     planar, spatial = settings_of(own, flat, name)
     return NeedleCase(
         name=which,
@@ -151,25 +152,39 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
         entry=places.get("entry", (0.0,) * (2 if flat else 3)),
         target=places["target"],
         direction=point(places["direction"], f"{name} direction") if "direction" in places else (0.0, 0.0, 1.0),
-        case_id=None if case_id is None else text(case_id, f"{name} [input] case_id"),
+        case_id=text(given["case_id"], f"{name} [input] case_id") if "case_id" in given else None,
         frame=frame,
         rng_seed=int(number(planner.get("rng_seed", 0), f"{name} [planner] rng_seed")),
         time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
-        obstacles=tuple(
-            obstacle_case(row, flat, folder, f"{name} [[obstacles]] {k + 1}") for k, row in enumerate(table.get("obstacles", []))
-        ),
+        obstacles=tuple(obstacle_case(row, flat, folder, f"{name} [[obstacles]] {k + 1}") for k, row in enumerate(bodies)),
         events=tuple(event_case(row, f"{name} [[events]] {k + 1}") for k, row in enumerate(table.get("events", []))),
+        ct=located(given["ct"], folder, f"{name} [input] ct") if "ct" in given else None,
+        series=text(given["series"], f"{name} [input] series") if "series" in given else None,
+        skin=skin,
+        monte_carlo=monte_carlo_settings(table.get("monte_carlo", {"runs": 0}), f"{name} [monte_carlo]"),
         planar=planar,
         needle=NeedleSettings(**spatial["needle"]),
         swarm=SwarmSettings(**spatial["swarm"]),
     )
 
 
+def grown_bodies(given: Mapping[str, Any], flat: bool, name: str) -> list[dict[str, Any]]:
+    """The obstacle that the keys of ``[input]`` ask for, as a row: the CT's voxels of the given HU; none without HU."""
+    asked = sorted(set(given) - {"case_id"})
+    if flat and asked:
+        raise CaseError(f"{name} [input]: needle2d takes no CT; its obstacles are circles and polygons of the plane")
+    if asked and "ct" not in given:
+        raise CaseError(f"{name} [input]: {', '.join(asked)} without ct; name the CT (--ct)")
+    if not any(key in given for key in ("hu_min", "hu_max", "seed_point")):
+        return []
+    return [{"kind": "mask", "file": given["ct"], **{key: given[key] for key in HU_KEYS if key in given}}]
+
+
 def gathered(table: Mapping[str, Any], planner: dict[str, Any], which: str, known: set[str], name: str) -> dict[str, Any]:
     """The needle's own keys from wherever they stand; one in two places is refused, an unknown one too."""
     own = dict(table.get(which, {}))
     check_keys(own, sorted(known), f"{name} [{which}]", "key")
-    inputs, limits = dict(table.get("input", {})), dict(table.get("limits", {}))
+    inputs, limits = subtable(table, "input", name), subtable(table, "limits", name)
     renamed = {"curvature_max": "kappa", "clearance_min": "safety_mm"}
     limits = {renamed.get(key, key): value for key, value in limits.items()}
     top = {key: value for key, value in table.items() if not isinstance(value, Mapping) and key not in ("obstacles", "events")}
@@ -178,17 +193,24 @@ def gathered(table: Mapping[str, Any], planner: dict[str, Any], which: str, know
             if key in own:
                 raise CaseError(f"{name}: {key} stands twice, in {where} and elsewhere; expected once")
             own[key] = rows.pop(key)
-    check_keys(inputs, ("case_id",), f"{name} [input]", "key")
+    check_keys(inputs, INPUTS, f"{name} [input]", "key")
     check_keys(limits, (), f"{name} [limits]", "key") if limits else None
     check_keys(
         {key: value for key, value in table.items() if key not in known},
-        ("input", "limits", "planner", which, "obstacles", "events"),
+        ("input", "limits", "planner", which, "obstacles", "events", "monte_carlo"),
         name,
         "table",
     )
     if "kappa" in own and "radius_mm" in own:
         raise CaseError(f"{name}: kappa and radius_mm are both given; one is the reciprocal of the other, give one")
-    return own
+    return own | inputs
+
+
+def flag(value: Any, where: str) -> bool:
+    """A value that must be true or false."""
+    if not isinstance(value, bool):
+        raise CaseError(f"{where}: found {value!r}, expected true or false")
+    return value
 
 
 def settings_of(own: dict[str, Any], flat: bool, name: str) -> tuple[PlanarSettings, dict[str, dict[str, Any]]]:
@@ -201,9 +223,7 @@ def settings_of(own: dict[str, Any], flat: bool, name: str) -> tuple[PlanarSetti
     spatial: dict[str, dict[str, Any]] = {"needle": {}, "swarm": {}}
     for key, value in own.items():
         if key == "duty_cycle":
-            if not isinstance(value, bool):
-                raise CaseError(f"{name} duty_cycle: found {value!r}, expected true or false")
-            found: Any = value
+            found: Any = flag(value, f"{name} duty_cycle")
         else:
             found = number(value, f"{name} {key}")
             if key in WHOLE and found != int(found):
@@ -225,70 +245,6 @@ def reciprocal(value: Any, where: str) -> float:
     return 1.0 / found
 
 
-def place(value: Any, size: int, where: str) -> tuple[float, ...]:
-    """Two or three finite numbers, from a list or from text ``Y,Z``."""
-    if isinstance(value, str):
-        try:
-            value = [float(part) for part in value.split(",")]
-        except ValueError:
-            raise CaseError(
-                f"{where}: found {value!r}, expected {size} numbers in mm, like {'0,90' if size == 2 else '0,0,100'}"
-            ) from None
-    if not isinstance(value, Sequence) or len(value) != size:
-        raise CaseError(f"{where}: found {value!r}, expected {size} numbers in mm")
-    return tuple(number(part, where) for part in value)
-
-
-def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> ObstacleCase:
-    """One obstacle, checked."""
-    if not isinstance(row, Mapping):
-        raise CaseError(f"{where}: found {type(row).__name__}, expected a table")
-    check_keys(row, [f.name for f in fields(ObstacleCase)], where, "key")
-    kinds, size = (FLAT_KINDS, 2) if flat else (SPACE_KINDS, 3)
-    kind = str(row.get("kind"))
-    if kind not in kinds:
-        raise CaseError(f"{where} kind: found {kind}, expected {', '.join(kinds)} {'in the plane' if flat else 'in space'}")
-    needed: dict[str, tuple[str, ...]] = {
-        "circle": ("center", "radius_mm"),
-        "sphere": ("center", "radius_mm"),
-        "capsule": ("points", "radius_mm"),
-    }
-    needed |= {"polygon": ("points",), "mesh": ("file",), "mask": ("file",)}
-    able = (*needed[kind], "kind", *(("hu_min",) if kind == "mask" else ()))
-    for key in needed[kind]:
-        if key not in row:
-            raise CaseError(f"{where}: a {kind} needs {key}")
-    check_keys(row, able, f"{where} ({kind})", "key")
-    path = None
-    if "file" in row:
-        path = Path(text(row["file"], f"{where} file")).expanduser()
-        path = path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
-    return ObstacleCase(
-        kind=kind,
-        center=place(row["center"], size, f"{where} center") if "center" in row else None,
-        radius_mm=number(row["radius_mm"], f"{where} radius_mm") if "radius_mm" in row else None,
-        points=tuple(place(p, size, f"{where} points") for p in row["points"]) if "points" in row else None,
-        file=path,
-        hu_min=number(row["hu_min"], f"{where} hu_min") if "hu_min" in row else None,
-    )
-
-
-def event_case(row: Any, where: str) -> EventCase:
-    """One event, checked."""
-    if not isinstance(row, Mapping):
-        raise CaseError(f"{where}: found {type(row).__name__}, expected a table")
-    check_keys(row, [f.name for f in fields(EventCase)], where, "key")
-    if "at_mm" not in row:
-        raise CaseError(f"{where}: an event needs at_mm")
-    return EventCase(
-        at_mm=number(row["at_mm"], f"{where} at_mm"),
-        obstacle=int(number(row["obstacle"], f"{where} obstacle")) if "obstacle" in row else None,
-        center=point(row["center"], f"{where} center") if "center" in row else None,
-        target=point(row["target"], f"{where} target") if "target" in row else None,
-        kappa=number(row["kappa"], f"{where} kappa") if "kappa" in row else None,
-    )
-
-
 def needle_case_table(case: NeedleCase, *, folder: Path | None = None) -> dict[str, Any]:
     """The case as tables without keys that are unset; files relative to `folder`, or names only."""
 
@@ -299,17 +255,19 @@ def needle_case_table(case: NeedleCase, *, folder: Path | None = None) -> dict[s
     if case.flat:
         own |= {key: in_file(key, getattr(case.planar, attribute)) for key, attribute in PLANAR_KEYS.items()}
     else:
-        own["direction"] = list(case.direction)
+        own |= {"direction": list(case.direction), "skin": case.skin}
         own |= {key: in_file(key, getattr(getattr(case, part), attribute)) for key, (part, attribute) in SPACE_KEYS.items()}
     planner = {"name": case.name, "method": case.method, "rng_seed": case.rng_seed, "time_budget": case.time_budget}
     tables: dict[str, Any] = {
-        "input": {"case_id": case.case_id},
+        "input": {"case_id": case.case_id, "ct": None if case.ct is None else shown(case.ct), "series": case.series},
         "planner": planner,
         case.name: own,
     }
     made: dict[str, Any] = {
         name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()
     }
+    if case.monte_carlo.runs:
+        made["monte_carlo"] = {key: getattr(case.monte_carlo, attribute) for key, attribute in MONTE_CARLO_KEYS.items()}
     rows = [{f.name: getattr(body, f.name) for f in fields(ObstacleCase)} for body in case.obstacles]
     for row in rows:
         row["file"] = None if row["file"] is None else shown(row["file"])

@@ -19,8 +19,8 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from tubeplan_viz.needle.events import Event, applied
-from tubeplan_viz.needle.kinematics import Controls, Pose, poses_along, push
-from tubeplan_viz.needle.replan import LAST_MM, bent, first_part, joined, misses, renewed, still_fine
+from tubeplan_viz.needle.kinematics import Controls, Pose, joined, poses_along, push
+from tubeplan_viz.needle.replan import LAST_MM, bent, first_part, misses, renewed, still_fine
 from tubeplan_viz.needle.spatial import SpatialProblem
 
 PRIOR = 0.05  # of the curvature's ratio: what is usual between tissues of one kind
@@ -96,6 +96,11 @@ class Insertion:
     def length(self) -> float:
         """Length pushed, mm."""
         return self.pushed.length
+
+    @property
+    def pushed_tip(self) -> FloatArray:
+        """Where the true tip ended, mm, (3,)."""
+        return push(self.pose, self.pushed).tips if len(self.pushed) else self.pose.position
 
 
 def insert(

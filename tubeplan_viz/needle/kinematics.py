@@ -243,6 +243,13 @@ def poses_along(pose: Pose, controls: Controls, ratios: FloatArray) -> FloatArra
     return np.array(list(accumulate(moves, np.matmul)))
 
 
+def joined(parts: list[Controls]) -> Controls:
+    """Controls one after the other as one."""
+    if not parts:
+        return Controls(np.empty(0), np.empty(0), np.empty(0))
+    return Controls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("turns", "lengths", "curvatures")))
+
+
 def twist(curvature: float, spin: float) -> FloatArray:
     """Body twist per mm pushed as a 4 x 4 matrix of se(3): curvature and spin in radian per mm (Zhao 2013, eq. 5)."""
     return np.array([[0.0, -spin, 0.0, 0.0], [spin, 0.0, -curvature, 0.0], [0.0, curvature, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0]])

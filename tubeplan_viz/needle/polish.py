@@ -18,6 +18,7 @@ STEP = 1e-6
 MARGIN = 1e-6  # mm kept beyond the safety distance, so that closing the tip does not break it
 SAMPLED_MARGIN = 0.05  # the same where an obstacle has no closed formula and is sampled
 MOST_GAPS = 80
+TIGHTENED = 4  # times that the distance is raised where samples missed the nearest place
 CLOSED = 1e-9  # mm
 COST, TIP, GAPS = slice(0, 1), slice(1, 4), slice(4, None)
 
@@ -138,6 +139,24 @@ def polish(problem: SpatialProblem, start: FloatArray, *, safety: float | None =
     if len(problem.scene) and values[4:].min() < -slack:
         return None
     return x if np.linalg.norm(values[1:4]) <= max(error, CLOSED) * (1.0 + 1e-6) else None
+
+
+def polish_clear(problem: SpatialProblem, start: FloatArray) -> FloatArray | None:
+    """The best path near `start` that keeps its distance at every point of it, not at samples alone; None without one.
+
+    Where the samples of a body without a formula missed its nearest place, the polish goes on with that much more distance.
+    """
+    safety = problem.settings.safety
+    more = 0.0
+    for _ in range(TIGHTENED):
+        made = polish(problem, start, safety=safety + more)
+        if made is None or not len(problem.scene):
+            return made
+        short = safety - float(problem.scene.least_distance(problem.arcs(made)).min())
+        if short <= 0.0:
+            return made
+        more, start = more + short + MARGIN, made
+    return None
 
 
 def closed(problem: SpatialProblem, x: FloatArray) -> FloatArray | None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
-from tubeplan_viz.needle.polish import polish
-from tubeplan_viz.needle.spatial import SpatialProblem, bounded
+from tubeplan_viz.needle.polish import polish_clear
+from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import SwarmSettings, cost_of, plan_spatial
 from tubeplan_viz.needle.zigzag import best_starts
 
@@ -34,13 +34,6 @@ def first_part(rest: Controls, ahead: float) -> Controls:
 def bent(controls: Controls, ratio: float) -> Controls:
     """Controls with curvatures as the tissue gives them."""
     return Controls(controls.turns, controls.lengths, controls.curvatures * ratio)
-
-
-def joined(parts: list[Controls]) -> Controls:
-    """Controls one after the other as one."""
-    if not parts:
-        return Controls(np.empty(0), np.empty(0), np.empty(0))
-    return Controls(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("turns", "lengths", "curvatures")))
 
 
 def misses(problem: SpatialProblem, here: Pose, rest: Controls, ratio: float) -> float:
@@ -81,7 +74,7 @@ def renewed(problem: SpatialProblem, here: Pose, rest: Controls, ratio: float, *
 
 def mended(problem: SpatialProblem, starts: list[FloatArray]) -> FloatArray | None:
     """The cheapest path that the polish makes of some starts and that keeps its distance everywhere, or None."""
-    made = [x for start in starts if (x := polish(problem, start)) is not None and bounded(problem, x)]
+    made = [x for start in starts if (x := polish_clear(problem, start)) is not None]
     return min(made, key=lambda row: cost_of(problem, row)) if made else None
 
 

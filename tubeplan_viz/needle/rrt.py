@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from segmentation.arrays import FloatArray, IntArray
-from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, bend_from, cross, frame_of
+from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, bend_from, cross, frame_of, joined
 from tubeplan_viz.needle.path import NeedlePath, measured
 from tubeplan_viz.needle.polish import closed
 from tubeplan_viz.needle.spatial import SpatialProblem, bounded
@@ -201,12 +201,8 @@ def closing(problem: SpatialProblem, tree: _Tree, node: int) -> NeedlePath | Non
         if x is None or not bounded(left, x):
             continue
         rest = left.controls(x)[1]
-        parts = (
-            (tree.turns[way[1:]], rest.turns),
-            (tree.lengths[way[1:]], rest.lengths),
-            (tree.curvatures[way[1:]], rest.curvatures),
-        )
-        controls = Controls(*(np.concatenate(part) for part in parts))
+        branch = Controls(tree.turns[way[1:]], tree.lengths[way[1:]], tree.curvatures[way[1:]])
+        controls = joined([branch, rest])
         found = measured(problem, tree.pose(way[0]), controls)
         if found.feasible:
             return found

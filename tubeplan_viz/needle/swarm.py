@@ -17,7 +17,7 @@ from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from tubeplan_viz.needle.front import pareto_front
 from tubeplan_viz.needle.path import NeedlePath, SwarmRound, measured
-from tubeplan_viz.needle.polish import polish
+from tubeplan_viz.needle.polish import polish_clear
 from tubeplan_viz.needle.spatial import SpatialProblem, Worth, worth
 from tubeplan_viz.needle.zigzag import best_starts
 
@@ -179,7 +179,7 @@ def plan_spatial(
         if np.isfinite(last.danger) and (nearest is None or last.error < nearest.error):
             nearest = last
         for start in [last.best, *(best_starts(problem, ZIGZAGS) if restart == 0 else [])]:
-            made = polish(problem, start)
+            made = polish_clear(problem, start)
             if made is not None:
                 cost = cost_of(problem, made)
                 if cost < best_cost:

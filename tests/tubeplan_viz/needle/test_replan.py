@@ -14,10 +14,11 @@ from tubeplan_viz.needle.kinematics import Controls, Pose, push
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings, monte_carlo
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
-from tubeplan_viz.pipeline.needle import event_of, load_scene
+from tubeplan_viz.pipeline.needle_ground import load_ground
+from tubeplan_viz.pipeline.needle_plan import event_of
 
 CASE = make_needle_case(replanned("obstacle"))
-PROBLEM = SpatialProblem(Pose(np.zeros(3), np.eye(3)), np.array(CASE.target), load_scene(CASE)[0], CASE.needle)
+PROBLEM = SpatialProblem(Pose(np.zeros(3), np.eye(3)), np.array(CASE.target), load_ground(CASE).scene, CASE.needle)
 
 
 @pytest.fixture(scope="module")
