@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, number, point, text
+from tubeplan_viz.cases.fields import check_keys, number, point, read_table, text
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 
 FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
@@ -128,6 +128,22 @@ def event_case(row: Any, where: str) -> EventCase:
         target=point(row["target"], f"{where} target") if "target" in row else None,
         kappa=number(row["kappa"], f"{where} kappa") if "kappa" in row else None,
     )
+
+
+def read_events(path: Path) -> list[Any]:
+    """The ``[[events]]`` of a file of their own.
+
+    Raises
+    ------
+    CaseError
+        If it is no TOML file or holds anything else.
+    """
+    table = read_table(path)
+    check_keys(table, ("events",), path.name, "table")
+    events = table.get("events")
+    if not isinstance(events, list) or not events:
+        raise CaseError(f"{path.name}: found no [[events]]; expected one or more, each with at_mm and what happens")
+    return events
 
 
 def monte_carlo_settings(table: Any, where: str) -> MonteCarloSettings:
