@@ -31,8 +31,8 @@ POCKET = 10.0
 """Least area of the closed-off air that reaches beyond the edges, mm^2."""
 BEYOND = 2.0
 """How far it must reach, above the front edge or behind the rear edge, mm: a fold beside the nose does not."""
-OPEN = 0.7
-"""Least share of air on a nostril's segment."""
+THROUGH = 2.0
+"""How long a nostril's segment may run through tissue between its edges, mm: partly filled pixels, but no wall."""
 LEDGE = 4.0
 """How far the walk goes back under a roof before it counts as one, mm."""
 
@@ -164,7 +164,8 @@ def _rear(tissue: BoolArray, spacing: FloatArray, front: IntArray) -> IntArray |
 def _closes(tissue: BoolArray, spacing: FloatArray, front: IntArray, rear: IntArray) -> bool:
     """Whether the segment lies in air and closes off a pocket of it."""
     line = segment(front, rear)
-    if len(line) < 3 or np.mean(tissue[line[1:-1, 0], line[1:-1, 1]]) > 1.0 - OPEN:
+    step = float(np.linalg.norm((rear - front) * spacing[:2])) / (len(line) - 1)
+    if len(line) < 3 or np.count_nonzero(tissue[line[1:-1, 0], line[1:-1, 1]]) * step > THROUGH:
         return False
     margin = np.ceil(OPENING / spacing[:2]).astype(int)
     low = np.maximum(line.min(axis=0) - margin, 0)

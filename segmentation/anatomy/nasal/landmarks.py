@@ -130,8 +130,8 @@ class Landmarks:
         width = float(np.count_nonzero(labels == labels[middle[1]]) * self.spacing[2]) if labels[middle[1]] else 0.0
         if width > NOSE_WIDTH:
             raise VolumeError(
-                f"no nose in the image: what lies foremost is {width:.0f} mm wide {NOSE_DEPTH:.0f} mm behind its front, a nose at most "
-                f"{NOSE_WIDTH:.0f} mm; take a scan that holds the nose"
+                f"no nose in the image: what lies foremost is {width:.0f} mm wide {NOSE_DEPTH:.0f} mm behind its front, "
+                f"expected at most {NOSE_WIDTH:.0f} mm; take a scan that holds the nose"
             )
         return tip
 

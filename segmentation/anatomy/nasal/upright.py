@@ -40,8 +40,8 @@ class Upright:
         best = np.abs(cosines).max(axis=1)
         if len(set(self._axes)) != 3 or best.min() < _LEAN_MAX:
             raise VolumeError(
-                f"the scan's axes lie {np.degrees(np.arccos(min(float(best.min()), 1.0))):.0f} degrees askew to the patient's, at most "
-                f"{np.degrees(np.arccos(_LEAN_MAX)):.0f} are read; resample the CT to axial slices"
+                f"the scan's axes lie {np.degrees(np.arccos(min(float(best.min()), 1.0))):.0f} degrees askew to the patient's, "
+                f"expected at most {np.degrees(np.arccos(_LEAN_MAX)):.0f}; resample the CT to axial slices"
             )
         signs = cosines[np.arange(3), self._axes]
         self._flips = tuple(slice(None) if sign > 0.0 else slice(None, None, -1) for sign in signs)
