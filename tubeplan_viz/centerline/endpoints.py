@@ -167,7 +167,8 @@ def cover(graph: VoronoiGraph, covered: BoolArray, centers: FloatArray, radii: F
     free = free[np.all((graph.nodes[free] >= low) & (graph.nodes[free] <= high), axis=1)]
     # |x - c|^2 <= r^2 for some ball, as one nearest neighbour: each centre gets a fourth
     # coordinate whose square is what its radius falls short of the widest.
-    lifted = cKDTree(np.column_stack([centers, np.sqrt(widest**2 - radii**2)]))
+    # A scalar's square may round below the array's of the same number.
+    lifted = cKDTree(np.column_stack([centers, np.sqrt(np.maximum(widest**2 - radii**2, 0.0))]))
     sites = np.column_stack([graph.nodes[free], np.zeros(len(free))])
     covered[free[np.isfinite(lifted.query(sites, distance_upper_bound=widest * (1.0 + 1e-12))[0])]] = True
 
