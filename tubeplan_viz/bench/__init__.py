@@ -5,6 +5,7 @@ from collections.abc import Callable
 from tubeplan_viz.bench.centerline import centerline
 from tubeplan_viz.bench.certificate import certificate
 from tubeplan_viz.bench.faults import faults
+from tubeplan_viz.bench.infeasible import infeasible
 from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
@@ -16,6 +17,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "optimal": optimal,
     "certificate": certificate,
     "faults": faults,
+    "infeasible": infeasible,
     "needle2d": needle2d,
     "needle3d": needle3d,
 }

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+
+import numpy as np
 
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, OptimalSettings, Passage, Proposal, optimise
@@ -16,6 +18,8 @@ RATIO = 1.008
 WIDEN = 1.3
 # An instrument more flexible than this many times is another instrument.
 FLEXIBLE = 6.0
+# The line between the two single changes is drawn through at least so many stretches.
+LINE_STRETCHES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +99,9 @@ def smallest_relaxation(passage: Passage, settings: OptimalSettings, *, ceiling:
     high: float | None = given
     if not reaches(given):
         high = bracket(reaches, given) if ceiling >= wanted else None
+    if high is not None and high > given:
+        for curvature in between(given, high, found):
+            reaches(curvature)
     alone = found.get(given)
     return Relaxation(clearance=None if alone is None else SAFE * alone, curvature=high, pareto=trades(found, high))
 
@@ -112,6 +119,14 @@ def bracket(reaches: Callable[[float], bool], low: float) -> float | None:
         middle = (low * high) ** 0.5
         low, high = (low, middle) if reaches(middle) else (middle, high)
     return high
+
+
+def between(low: float, high: float, found: Iterable[float]) -> list[float]:
+    """Curvature limits at even ratios between two, without those that were looked at near by already."""
+    step = (high / low) ** (1.0 / LINE_STRETCHES)
+    wanted = [low * step**k for k in range(1, LINE_STRETCHES)]
+    known = list(found)
+    return [curvature for curvature in wanted if all(abs(np.log(curvature / other)) > 0.5 * np.log(step) for other in known)]
 
 
 def trades(found: dict[float, float], last: float | None) -> tuple[Trade, ...]:
