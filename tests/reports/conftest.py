@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from segmentation.mesh import Cap, Surface
 from segmentation.region_growing import GrowthCurve, Region
 from segmentation.volume import Volume
+from tubeplan_viz.endoluminal import FilmSettings, make_film
 from tubeplan_viz.result import Review
 
 
@@ -125,6 +126,7 @@ def build_review(
     ct: bool = True,
     neck: float = 0.85,
     case_id: str = "phantom-01",
+    film: bool = True,
     **changes: Any,
 ) -> Review:
     """A run of the synthetic tube whose status follows from its limits."""
@@ -203,6 +205,21 @@ def build_review(
             "endpoints": [{"label": "E1", "point_mm": points[0].tolist(), "radius_mm": 1.9, "confidence": 0.97}],
             "centerline_radius_min": {"radius_mm": float(radius.min()), "at_mm": 71.2, "point_mm": points[264].tolist()},
             "warnings": [],
+            "walk": {
+                "steps": [
+                    {
+                        "kind": kind,
+                        "s_mm": float(arc[k]),
+                        "turn_deg": 42.3,
+                        "clock_h": 3,
+                        "roll_deg": roll,
+                        "direction": [0.0, -0.6, 0.8],
+                        "toward": "superior and anterior" if ct else None,
+                        "other_openings_clock_h": openings,
+                    }
+                    for kind, k, roll, openings in (("junction", 150, 90.2, [8, 12]), ("bend", 330, -31.7, []))
+                ]
+            },
         },
         "timings_s": {"read": 0.61, "grow": 0.38, "surface": 0.94, "centerline": 1.52, "plan": 0.12},
         "provenance": {
@@ -246,6 +263,7 @@ def build_review(
         else {"File": "tube.stl", "Surface": "38\u202f480 triangles, closed"},
         first=first,
         last=path,
+        film=make_film(surface, arc, points, clearance, settings=FilmSettings(size=48, step=6.0)) if film else None,
     )
 
 

@@ -98,7 +98,7 @@ def test_hovering_a_chart_moves_the_marker_in_the_scene(opened: Any) -> None:
 
 def test_the_tightest_place_is_one_press_away(opened: Any) -> None:
     page, _, _ = opened
-    page.get_by_role("button", name="Tightest").click()
+    page.get_by_role("button", name="Tightest", exact=True).click()
     drawn(page)
     assert page.locator("#at-clearance").locator("..").get_attribute("data-state") == "clearance"
 

@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from reports.slices import Window, straightened
+from reports.wall import parallel_frames
 from segmentation.images import read_ct
 from segmentation.mesh_files import read_surface
 from tubeplan_viz.bench.renal import hubmap_tips, orifice_and_calyces
@@ -80,8 +82,27 @@ def test_an_airway_is_grown_without_a_leak_and_planned_with_honest_flags(
     assert details["growth"]["chosen_hu"] == details["hu_max"]
     assert len(details["growth"]["limits_hu"]) == len(details["growth"]["volumes_ml"])
     assert result["metrics"]["centerline_distance_mean_mm"] < 1.0
+    assert lumen_is_dark(image, result)
     # All of these run along the trachea, head to feet.
     assert abs(result["path"]["points_mm"][0][2] - result["path"]["points_mm"][-1][2]) > 50.0
+
+
+def lumen_is_dark(image: Path, result: dict[str, Any]) -> bool:
+    """Whether the reformation along the centerline is as dark as the grown lumen in its middle, all along."""
+    volume = read_ct(image).volume
+    line = np.asarray(result["centerline"]["points_mm"])
+    _, normal, _ = parallel_frames(line)
+    chosen = float(result["details"]["growth"]["chosen_hu"])
+    window = Window("test", "test", chosen, 400.0)
+    picture = straightened(volume, line, normal, 0.25, window, rows=3)
+    # The ends lie on caps and tips, where half of what is seen is wall.
+    inner = picture[:, np.searchsorted(polyline_s(line), 3.0) : np.searchsorted(polyline_s(line), polyline_s(line)[-1] - 3.0)]
+    return bool((inner <= 128 + 0.15 * 255).all())  # at most 60 HU lighter than the limit: noise where the image was smoothed
+
+
+def polyline_s(points: np.ndarray) -> np.ndarray:
+    """Arc length at the points."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 def exact_distance(points: np.ndarray, surface: Any) -> np.ndarray:
