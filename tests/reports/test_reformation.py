@@ -40,7 +40,7 @@ def with_marker(volume: Volume, place: FloatArray) -> Volume:
 
 
 def marker_place(path: FloatArray, k: int, angle: float, distance: float) -> tuple[FloatArray, FloatArray]:
-    """A place `distance` mm from sample k of the path in the direction that the page calls `angle`, and that direction all along."""
+    """A place `distance` mm from sample k of the path in the direction that the page calls `angle`, and that direction."""
     _, normal, binormal = parallel_frames(path)
     across = np.cos(angle) * normal + np.sin(angle) * binormal
     return path[k] + distance * across[k], across
