@@ -1,4 +1,4 @@
-"""The line that the robot is steered along: the route's middle, bent no sharper than the sections can where the lumen allows it."""
+"""The line that the robot is steered along: the route's middle, no sharper than the sections bend where the lumen allows."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 from scipy.ndimage import binary_dilation
@@ -55,13 +56,14 @@ class Guide:
         """Length, mm."""
         return float(self.arc_length[-1])
 
-    def at(self, s: float) -> FloatArray:
-        """Place at an arc length, (3,) mm; beyond the ends along the end's direction."""
-        if s < 0.0:
-            return np.asarray(self.points[0] + s * self.direction(0.0))
-        if s > self.length:
-            return np.asarray(self.points[-1] + (s - self.length) * self.direction(self.length))
-        return np.array([np.interp(s, self.arc_length, self.points[:, k]) for k in range(3)])
+    def at(self, s: ArrayLike) -> FloatArray:
+        """Places at arc lengths, (..., 3) mm; beyond the ends along the end's direction."""
+        wanted = np.asarray(s, dtype=float)
+        made = np.stack([np.interp(wanted, self.arc_length, column) for column in self.points.T], axis=-1)
+        before, beyond = np.minimum(wanted, 0.0), np.maximum(wanted - self.length, 0.0)
+        if before.any() or beyond.any():
+            made = made + before[..., None] * self.direction(0.0) + beyond[..., None] * self.direction(self.length)
+        return np.asarray(made)
 
     def direction(self, s: float) -> FloatArray:
         """Unit tangent at an arc length, (3,), over 2 mm."""
@@ -69,9 +71,9 @@ class Guide:
         step = [np.interp(high, self.arc_length, c) - np.interp(low, self.arc_length, c) for c in self.points.T]
         return np.asarray(np.array(step) / np.linalg.norm(step))
 
-    def radius(self, s: float) -> float:
-        """The lumen's radius at an arc length, mm."""
-        return float(np.interp(s, self.arc_length, self.radii))
+    def radius(self, s: ArrayLike) -> FloatArray:
+        """The lumen's radius at arc lengths, (...,) mm."""
+        return np.asarray(np.interp(np.asarray(s, dtype=float), self.arc_length, self.radii))
 
     def nearest(self, point: FloatArray, low: float, high: float) -> float:
         """Arc length of the nearest place between two arc lengths, mm."""

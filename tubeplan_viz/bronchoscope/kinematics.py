@@ -7,11 +7,15 @@ turned by phi about the normal of that plane.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import GeometryError
+
+STRAIGHT = 1e-7  # rad; the terms of the arc's series that are dropped below it are smaller than the length times 1e-14
 
 
 def pose_along(point: ArrayLike, direction: ArrayLike) -> FloatArray:
@@ -81,23 +85,23 @@ def section_transform(length: float, phi: float, theta: float) -> FloatArray:
 
 def bend_rotation(phi: float, theta: float) -> FloatArray:
     """Rotation by phi about the normal of the bending plane at theta, (3, 3)."""
-    c, s, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
+    c, s, ct, st = math.cos(phi), math.sin(phi), math.cos(theta), math.sin(theta)
+    mixed = ct * st * (c - 1.0)
     return np.array(
-        [
-            [ct * ct * c + st * st, ct * st * (c - 1.0), ct * s],
-            [ct * st * (c - 1.0), st * st * c + ct * ct, st * s],
-            [-ct * s, -st * s, c],
-        ]
+        [[ct * ct * c + st * st, mixed, ct * s], [mixed, st * st * c + ct * ct, st * s], [-ct * s, -st * s, c]],
     )
 
 
 def arc_points(length: float, phi: float, theta: float, shares: FloatArray) -> FloatArray:
     """Places on a section's axis at shares of its length, in the frame of its base, (n, 3) mm."""
-    angle = phi * shares
-    # sin(x) / x and (1 - cos(x)) / x without loss of digits at x = 0
-    along = length * shares * np.sinc(angle / np.pi)
-    across = length * shares * np.sin(0.5 * angle) * np.sinc(0.5 * angle / np.pi)
-    return np.column_stack([np.cos(theta) * across, np.sin(theta) * across, along])
+    made = np.empty((len(shares), 3))
+    if phi < STRAIGHT:  # to this bend the series end with the terms that are left
+        along, across = length * shares, 0.5 * length * phi * shares * shares
+    else:
+        angle, radius = phi * shares, length / phi
+        along, across = radius * np.sin(angle), 2.0 * radius * np.sin(0.5 * angle) ** 2
+    made[:, 0], made[:, 1], made[:, 2] = math.cos(theta) * across, math.sin(theta) * across, along
+    return made
 
 
 def bend_towards(point: ArrayLike, bend_max: float) -> tuple[float, float]:

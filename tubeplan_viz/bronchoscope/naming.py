@@ -157,9 +157,9 @@ def sides(
         lead = float((direction(branches[one]) - direction(branches[two]))[0])
         left, right = (one, two) if lead > 0.0 else (two, one)
         return (left, right), share(abs(lead)), body_axes(direction(branches[division]), None, frame)
-    votes = 0
-    for figure in (lambda k: -branches[k].mean_radius, lambda k: main_length(branches, children, k), lambda k: branches[k].angle):
-        votes += 1 if figure(one) < figure(two) else -1  # the right one has the less of each
+    # The right one has the less of each.
+    figures = [(-branches[k].mean_radius, main_length(branches, children, k), branches[k].angle) for k in (one, two)]
+    votes = sum(1 if a < b else -1 for a, b in zip(*figures, strict=True))
     right, left = (one, two) if votes > 0 else (two, one)
     down = direction(branches[division])
     axes = body_axes(down, direction(branches[left]) - direction(branches[right]), frame)

@@ -222,11 +222,9 @@ class _Growth:
             stage += 1
             self.entries[stage].append(reached)
         best = self._best()
-        far = f"{self._error(best):.1f} mm"
         stuck = self.stages[max(k for k, found in enumerate(self.entries) if found)].name
-        return self._plan(
-            best, f"no way was found through the stage {stuck!r} with {len(self.samples)} samples; the tip came within {far}"
-        )
+        tried = f"{len(self.samples)} samples; the tip came within {self._error(best):.1f} mm"
+        return self._plan(best, f"no way was found through the stage {stuck!r} with {tried}")
 
     def _spent(self) -> bool:
         late = self.settings.time_budget is not None and time.perf_counter() - self.begun > self.settings.time_budget
@@ -282,10 +280,10 @@ class _Growth:
         inserted = float(np.linalg.norm(np.diff(node.step.body, axis=0), axis=1).sum())
         return inserted - 25.0, min(inserted + 25.0, self.guide.length)
 
-    def _line_at(self, s: float, offset: FloatArray, stage: Stage) -> FloatArray:
+    def _line_at(self, s: FloatArray, offset: FloatArray, stage: Stage) -> FloatArray:
         """The guide bent towards the sample: fully at the sub-goal, fading out over the stage before and beyond it."""
-        fade = float(np.clip(1.0 - abs(s - stage.end) / max(stage.end - stage.begin, 1.0), 0.0, 1.0))
-        return self.guide.at(s) + fade * fade * (3.0 - 2.0 * fade) * offset
+        fade = np.clip(1.0 - np.abs(s - stage.end) / max(stage.end - stage.begin, 1.0), 0.0, 1.0)
+        return np.asarray(self.guide.at(s) + (fade * fade * (3.0 - 2.0 * fade))[:, None] * offset)
 
     def _push(self, origin: int, tip_at: float, left: float, offset: FloatArray, number: int) -> int | None:
         """One push from a node; the longest first that bends no section too quickly. None if all collide."""
@@ -322,8 +320,8 @@ class _Growth:
         robot, bends = self.robot, bends_of(step)
         ahead = tip_at + push
         places = ahead - robot.active_length * (1.0 - active_shares(robot))
-        line = np.array([self._line_at(float(s), offset, stage) for s in places])
-        room = np.array([max(self.guide.radius(float(s)) - robot.radius, ROOM_MIN) for s in places])
+        line = self._line_at(places, offset, stage)
+        room = np.maximum(self.guide.radius(places) - robot.radius, ROOM_MIN)
         direction = line[-1] - line[-3]
         direction = direction / np.linalg.norm(direction)
         wanted = bends

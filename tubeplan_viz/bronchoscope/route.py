@@ -89,8 +89,9 @@ def make_stages(guide: Guide, passages: Sequence[Passage], goal: FloatArray, rob
         # The start lies a robot's active length inside; a stage that it has passed already is none.
         if end <= robot.active_length and number < len(rows) - 1:
             continue
-        room = max(guide.radius(end) - robot.radius, 0.3)
+        width = float(guide.radius(end))
+        room = max(width - robot.radius, 0.3)
         place = goal if number == len(rows) - 1 else guide.at(end)
-        stages.append(Stage(name=name, begin=begin, end=end, goal=place, radius=min(SPHERE * guide.radius(end), room)))
+        stages.append(Stage(name=name, begin=begin, end=end, goal=place, radius=min(SPHERE * width, room)))
         begin = end
     return tuple(stages)
