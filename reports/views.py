@@ -23,6 +23,7 @@ from reports.derived import derived_values
 from reports.folds import Fact, Fold, folds
 from reports.numbers import Figure, Source, phrase, printed
 from reports.places import Place, critical_places
+from reports.relaxation import Relief, relief
 from reports.slices import LEVELS, REACH_MM, ReducedVolume, Window, reduce_volume, windows_for
 from reports.still import Label, View, choose_view, still_picture
 from reports.svg import LEFT, RIGHT, WIDTHS
@@ -65,6 +66,7 @@ class Page:
     sharpest: float | None
     places: tuple[Place, ...]
     walk: Walk | None
+    relief: Relief | None
     measures: tuple[MeasureRow, ...]
     steps: Mapping[str, Markup]
     steps_line: str
@@ -137,6 +139,7 @@ def make_page(review: Review) -> Page:
         sharpest=_value(worst_place(source, "curvature")),
         places=critical_places(course, source, volume, window) if course is not None else (),
         walk=walk_of(source, review.film),
+        relief=relief(source),
         measures=measures(source, first),
         steps=workspace.steps(source),
         steps_line=_steps_line(source),

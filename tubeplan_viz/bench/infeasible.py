@@ -69,7 +69,7 @@ def clearance_at_bend(path_bend: float, *, bend: float = BEND, radius: float = T
     Examples
     --------
     >>> round(clearance_at_bend(10.0), 4), round(bend_at_clearance(2.0), 4)
-    (1.9106, 9.6026)
+    (1.9106, 9.6024)
     """
     half = bend * np.sqrt(0.5)
     return radius - (sagitta(bend, half) - sagitta(path_bend, half))

@@ -36,6 +36,8 @@ class Relaxation:
 
     Attributes
     ----------
+    limits : Limits
+        That no path was found for.
     clearance : float or None, mm
         Largest instrument radius at the given bend radius; None when no path keeps the curvature limit.
     curvature : float or None, 1/mm
@@ -45,17 +47,43 @@ class Relaxation:
         From the stiffest and thinnest to the thickest and most flexible.
     """
 
+    limits: Limits
     clearance: float | None
     curvature: float | None
     pareto: tuple[Trade, ...]
 
+    @property
+    def clearance_change(self) -> float | None:
+        """By what share the instrument radius would have to change; negative."""
+        asked = self.limits.clearance_min
+        return None if self.clearance is None or asked == 0.0 else self.clearance / asked - 1.0
+
+    @property
+    def bend_radius_change(self) -> float | None:
+        """By what share the bend radius would have to change; negative."""
+        return None if self.curvature is None else self.limits.curvature_max / self.curvature - 1.0
+
+    @property
+    def smallest(self) -> str | None:
+        """The single change that is the smaller share of its limit; None when neither was found to do."""
+        changes = {"instrument radius": self.clearance_change, "bend radius": self.bend_radius_change}
+        known = {name: abs(change) for name, change in changes.items() if change is not None}
+        return min(known, key=lambda name: known[name]) if known else None
+
     def details(self) -> dict[str, object]:
         """For result.json."""
+        thinner, softer = self.clearance_change, self.bend_radius_change
         return {
+            "smallest": self.smallest,
             "clearance_mm": self.clearance,
+            "clearance_change_percent": None if thinner is None else 100.0 * thinner,
             "curvature_per_mm": self.curvature,
             "bend_radius_mm": None if self.curvature is None else 1.0 / self.curvature,
-            "pareto": [{"clearance_mm": trade.clearance, "curvature_per_mm": trade.curvature} for trade in self.pareto],
+            "bend_radius_change_percent": None if softer is None else 100.0 * softer,
+            "pareto": [
+                {"clearance_mm": trade.clearance, "curvature_per_mm": trade.curvature, "bend_radius_mm": 1.0 / trade.curvature}
+                for trade in self.pareto
+            ],
         }
 
 
@@ -103,7 +131,12 @@ def smallest_relaxation(passage: Passage, settings: OptimalSettings, *, ceiling:
         for curvature in between(given, high, found):
             reaches(curvature)
     alone = found.get(given)
-    return Relaxation(clearance=None if alone is None else SAFE * alone, curvature=high, pareto=trades(found, high))
+    return Relaxation(
+        limits=passage.limits,
+        clearance=None if alone is None else SAFE * alone,
+        curvature=high,
+        pareto=trades(found, high),
+    )
 
 
 def bracket(reaches: Callable[[float], bool], low: float) -> float | None:

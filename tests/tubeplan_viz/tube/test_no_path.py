@@ -68,10 +68,18 @@ def test_bend_in_a_too_narrow_tube_is_not_found_but_never_called_impossible(shar
     assert planned(sharp_bend, softer, 2.0).certificate.holds
     assert not planned(sharp_bend, 0.98 * softer, 2.0).certificate.holds
     line = relaxation["pareto"]
-    assert line[0] == {"clearance_mm": thinner, "curvature_per_mm": 0.1}
+    assert line[0] == {"clearance_mm": thinner, "curvature_per_mm": 0.1, "bend_radius_mm": 10.0}
     assert line[-1]["curvature_per_mm"] == softer
     assert np.all(np.diff([point["clearance_mm"] for point in line]) > 0)
     assert np.all(np.diff([point["curvature_per_mm"] for point in line]) > 0)
+    # The smaller change in percent is named: 5 % of each limit is missing in the radius, a little less in the bend.
+    changes = {
+        "instrument radius": 100.0 * (thinner / 2.0 - 1.0),
+        "bend radius": 100.0 * (relaxation["bend_radius_mm"] / 10.0 - 1.0),
+    }
+    assert relaxation["clearance_change_percent"] == pytest.approx(changes["instrument radius"])
+    assert relaxation["bend_radius_change_percent"] == pytest.approx(changes["bend radius"])
+    assert relaxation["smallest"] == max(changes, key=lambda name: changes[name])
 
 
 def test_a_start_too_near_to_the_wall_is_its_own_proof() -> None:
