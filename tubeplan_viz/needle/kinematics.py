@@ -291,6 +291,35 @@ def duty_cycle(curvature: float, kappa: float) -> float:
     return 1.0 - curvature / kappa
 
 
+def cycled(pose: Pose, controls: Controls, kappa: float, *, cycle: float) -> Pose:
+    """Pose after pieces whose curvature is held by spinning a part of the time, revolution by revolution.
+
+    Every cycle of a push spins once by a whole turn over its share `duty_cycle`, then goes on without a spin. For short
+    cycles this ends where arcs of the mean curvature do; how far from there tells whether `cycle` is short enough.
+
+    Parameters
+    ----------
+    pose : Pose
+    controls : Controls
+        n pieces, curvatures from 0 to kappa.
+    kappa : float, 1/mm
+        Curvature of the needle that does not spin.
+    cycle : float, mm
+        Push of one cycle, at most; a piece holds a whole number of them.
+    """
+    for turn, length, curvature in zip(controls.turns, controls.lengths, controls.curvatures, strict=True):
+        c, s = np.cos(turn), np.sin(turn)
+        pose = Pose(pose.position, pose.frame @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
+        spinning = duty_cycle(float(curvature), kappa)
+        count = max(int(np.ceil(length / cycle)), 1)
+        spun = spinning * length / count
+        for _ in range(count if length > 0.0 else 0):
+            if spun > 0.0:
+                pose = helix(pose, spun, kappa, 2.0 * np.pi / spun)
+            pose = helix(pose, length / count - spun, kappa, 0.0)
+    return pose
+
+
 def insertion_pose(entry: ArrayLike, direction: ArrayLike) -> Pose:
     """A pose at `entry` that points along `direction`; its bevel bends the path towards -y (or +z along y).
 

@@ -35,7 +35,26 @@ def zigzags(problem: SpatialProblem) -> FloatArray:
         for way in ways:
             means.append(np.where(np.arange(n)[:, None] < n // 2, mean + aside, mean - aside))
             along.append(way)
-    return close_all(problem, unknowns(problem, np.array(means), np.array(along), walk))
+    x = unknowns(problem, np.array(means), np.array(along), walk)
+    return close_all(problem, np.vstack([x, single_arc(problem, across, ahead)]) if problem.free[0] else x)
+
+
+def single_arc(problem: SpatialProblem, across: FloatArray, ahead: float) -> FloatArray:
+    """Unknowns, (d,), of the one arc to the target, its curvature held by spinning; of the fullest bend where that is less.
+
+    `across` (2,) and `ahead`, mm, are the target in the pose's frame.
+    """
+    n, s = problem.settings.pieces, problem.settings
+    aside = float(np.linalg.norm(across))
+    curvature = 2.0 * aside / problem.distance**2
+    length = problem.distance if aside == 0.0 else 2.0 * float(np.arctan2(aside, ahead)) / curvature
+    low, high = problem.bounds
+    x = np.zeros(len(low))
+    # The normal of the pose is -y of the frame, as in `unknowns`.
+    x[0] = np.mod(np.arctan2(across[1], across[0]) + 1.5 * np.pi, 2.0 * np.pi) - np.pi
+    x[n : 2 * n] = length / n
+    x[2 * n : 3 * n] = min(curvature, s.kappa)
+    return np.clip(x, low, high)
 
 
 def unknowns(problem: SpatialProblem, means: FloatArray, ways: FloatArray, walk: float) -> FloatArray:

@@ -15,7 +15,7 @@ from segmentation.arrays import FloatArray
 from tubeplan_viz.cases.needle import NeedleCase
 from tubeplan_viz.cases.needle_rows import MONTE_CARLO_KEYS, ObstacleCase
 from tubeplan_viz.needle.insertion import Insertion
-from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, duty_cycle, push
+from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, cycled, duty_cycle, push
 from tubeplan_viz.needle.monte_carlo import MonteCarlo
 from tubeplan_viz.needle.obstacles import MaskObstacle, MeshObstacle, Obstacle
 from tubeplan_viz.needle.path import NeedlePath, Tradeoff
@@ -30,6 +30,7 @@ ROUNDS_KEPT = 150
 CLOUDS_KEPT, CLOUD_PATHS = 4, 12
 INSERTIONS_DRAWN = 24
 OUTLINE_POINTS = 1500
+CYCLE_MM = 0.25  # push of one revolution: 4 revolutions per mm, 8 per second at the 2 mm/s of needle drives
 PERCENTILES = (50, 75, 90, 95, 100)
 
 
@@ -212,6 +213,8 @@ def content_of(case: NeedleCase, ground: Ground, outcome: Outcome, warnings: lis
     details["entry_mm"] = outcome.pose.position
     details["entry_frame"] = outcome.pose.frame
     details["controls"] = controls_details(outcome.controls, case.kappa)
+    if (outcome.controls.curvatures < case.kappa).any():
+        details["duty_cycle"] = duty_details(outcome.pose, outcome.controls, case.kappa)
     lower = float(outcome.clearances.min()) if outcome.clearances is not None and len(outcome.clearances) else None
     content["path"] = {"s_mm": s, "points_mm": points, "curvature_per_mm": curvature, "clearance_mm": clearance}
     content["metrics"] = {
@@ -257,6 +260,12 @@ def outline(body: Obstacle) -> FloatArray | None:
     else:
         return None
     return np.round(points[:: max(1, len(points) // OUTLINE_POINTS)], 2)
+
+
+def duty_details(pose: Pose, controls: Controls, kappa: float) -> dict[str, float]:
+    """How far the tip ends from the plan when curvatures are held by whole revolutions, `CYCLE_MM` of push each."""
+    tip = cycled(pose, controls, kappa, cycle=CYCLE_MM).position
+    return {"cycle_mm": CYCLE_MM, "tip_deviation_mm": float(np.linalg.norm(tip - push(pose, controls).tips))}
 
 
 def path_table(result: Mapping[str, Any], outcome: Outcome) -> str:
