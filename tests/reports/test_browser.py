@@ -152,3 +152,89 @@ def test_without_scripts_the_charts_and_the_picture_stand(browser: Any, report: 
     assert page.locator(".cpr-picture img").is_visible()
     assert not page.locator("#place").is_visible()
     context.close()
+
+
+def test_five_questions_are_answered_in_at_most_two_actions(browser: Any, report: Path) -> None:
+    context = browser.new_context(viewport={"width": 1440, "height": 900})
+    page = context.new_page()
+    page.goto(report.as_uri())
+    settle(page)
+    # No action: the verdict, the tightest place with its depth, the sharpest bend and what would hold stand on the first screen.
+    seen = page.locator("#verdict")
+    words = seen.inner_text()
+    for term in ("Flagged", "Worst margin", "Sharpest bend", "This path takes"):
+        assert term in words
+    keys = page.locator("#verdict dl.keys").bounding_box()
+    assert keys["y"] + keys["height"] < 900
+    margin = page.locator("#verdict dl.keys > div", has_text="Worst margin")
+    depth = float(margin.locator("data[data-key$='_at_mm']").first.get_attribute("value"))
+    # One action: the slice at the tightest place.
+    page.get_by_role("button", name="Show clearance").first.click()
+    page.wait_for_timeout(900)
+    assert float(page.locator("#cap-across").inner_text().split("\u00a0")[0]) == pytest.approx(depth, abs=0.06)
+    assert page.evaluate(SPREAD, "across") > 60
+    # One action: the sharpest bend.
+    page.get_by_role("button", name="Sharpest", exact=True).click()
+    drawn(page)
+    bend = page.locator("#verdict dl.keys > div", has_text="Sharpest bend")
+    sharpest = float(bend.locator("data[data-key$='_at_mm']").first.get_attribute("value"))
+    assert float(page.locator("#at").inner_text().split("\u00a0")[0]) == pytest.approx(sharpest, abs=0.06)
+    context.close()
+
+
+def test_one_cursor_moves_charts_slices_reformation_and_the_view_from_the_tip(opened: Any) -> None:
+    page, _, _ = opened
+    length = float(page.locator("#at-part").inner_text().removeprefix("of ").split("\u00a0")[0])
+    shown = []
+    for share in (25, 75):
+        page.evaluate(
+            "(v) => { const p = document.getElementById('place'); p.value = Math.round(v / 100 * p.max);"
+            " p.dispatchEvent(new Event('input')); }",
+            share,
+        )
+        drawn(page)
+        at = float(page.locator("#at").inner_text().split("\u00a0")[0])
+        assert at == pytest.approx(share / 100 * length, abs=0.3)
+        assert float(page.locator("#cap-across").inner_text().split("\u00a0")[0]) == pytest.approx(at, abs=0.06)
+        assert float(page.locator("#cap-tip").inner_text().split("\u00a0")[0]) == pytest.approx(at, abs=3.1)  # one every 6 mm
+        assert float(page.locator("#cpr-cursor").evaluate("(e) => parseFloat(e.style.left)")) == pytest.approx(share, abs=0.3)
+        move = page.locator("svg.for-wide[data-chart=clearance] .cursor").get_attribute("transform")
+        shown.append((page.locator("#tip").get_attribute("src"), move, page.evaluate("globalThis.tubeplanCursor()")))
+    for one, other in zip(*shown, strict=True):
+        assert one != other
+
+
+def test_the_keyboard_reaches_every_control_and_the_theme_switches(browser: Any, report: Path) -> None:
+    context = browser.new_context(viewport={"width": 1440, "height": 900}, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto(report.as_uri())
+    settle(page)
+    reached = set()
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        reached |= set(page.evaluate("(({ id, name, tagName }) => [id, name ?? '', tagName])(document.activeElement)"))
+    assert {"theme", "place", "turn", "larger", "window", "overlay", "CANVAS", "SUMMARY"} <= reached
+    before = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    page.get_by_label("Dark").check(force=True)
+    page.wait_for_timeout(100)
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") != before
+    context.close()
+
+
+def test_print_shows_the_charts_whole_and_all_folds(browser: Any, report: Path, tmp_path: Path) -> None:
+    context = browser.new_context(viewport={"width": 1440, "height": 900})
+    page = context.new_page()
+    page.goto(report.as_uri())
+    settle(page)
+    page.emulate_media(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    page.set_viewport_size({"width": 718, "height": 1000})  # A4 less its margins at 96 dpi
+    assert page.evaluate("[...document.querySelectorAll('details')].every((fold) => fold.open)")
+    for chart in page.locator("svg[data-chart]").all():
+        if chart.is_visible():
+            box = chart.bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= 718.5
+    assert not page.locator("#place").is_visible()
+    assert page.locator("svg.still").is_visible()
+    context.close()
