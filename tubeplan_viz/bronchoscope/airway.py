@@ -18,10 +18,27 @@ from tubeplan_viz.bronchoscope.route import Passage
 from tubeplan_viz.centerline import Centerline, CenterlineTree, Endpoint, VoronoiGraph, centerline_tree
 from tubeplan_viz.geometry import WallDistance
 
-# The direction into the lumen is that of the first so many mm of the trachea's line.
-ENTRANCE_CHORD = 15.0
-# The tip's line ends this much before the place where the lumen is as narrow as the robot, mm.
-NOSE = 0.2
+# How far down the trachea a place is sought where the straight robot fits, and what it must leave free there, mm.
+ENTRANCE_SEARCH, ENTRANCE_ROOM = 40.0, 0.2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Entrance:
+    """Where the robot goes in.
+
+    Attributes
+    ----------
+    pose : (4, 4) float array
+        Of the proximal section's base at the start; third column into the lumen.
+    offset : float, mm
+        How far down the trachea's line that is.
+    """
+
+    pose: FloatArray
+    offset: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pose", frozen_array(self.pose, (4, 4), "entrance"))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,13 +65,25 @@ class AirwayTree:
             tuple(k for k, branch in enumerate(self.branches) if branch.parent == number) for number in range(len(self.branches))
         )
 
-    @cached_property
-    def entrance(self) -> FloatArray:
-        """Pose in the middle of the trachea's upper end, third column into the lumen, (4, 4)."""
+    def entrance_for(self, robot: Robot) -> Entrance:
+        """Where the straight robot fits into the trachea: at its upper end, or as little further down as need be.
+
+        Raises
+        ------
+        CaseError
+            If it fits nowhere in the first `ENTRANCE_SEARCH` mm.
+        """
         line = self.branches[0].line
-        far = min(ENTRANCE_CHORD, float(line.arc_length[-1]))
-        ahead = np.array([np.interp(far, line.arc_length, c) for c in line.points.T])
-        return frozen_array(pose_along(line.points[0], ahead - line.points[0]), (4, 4), "entrance")
+        for offset in np.arange(0.0, min(ENTRANCE_SEARCH, max(self.branches[0].length - robot.active_length, 0.0)) + 1.0, 1.0):
+            begin, end = (self.place(0, s) for s in (offset, offset + robot.active_length))
+            axis = begin + np.linspace(0.0, 1.0, 40)[:, None] * (end - begin)
+            if float(self.wall.clearance(axis).min()) >= robot.radius + ENTRANCE_ROOM:
+                return Entrance(pose=pose_along(begin, end - begin), offset=float(offset))
+        widest = 2.0 * float(line.radii[line.arc_length <= ENTRANCE_SEARCH].max())
+        raise CaseError(
+            f"the robot of {robot.diameter:g} mm does not fit straight into the airway at {self.root.label}, which is at most "
+            f"{widest:.1f} mm wide in its first {ENTRANCE_SEARCH:g} mm; choose another entrance (--start) or a thinner robot"
+        )
 
     def route_to(self, number: int) -> tuple[int, ...]:
         """Numbers of the branches from the trachea to a branch, by depth-first search."""
@@ -66,25 +95,24 @@ class AirwayTree:
             waiting += [(*route, child) for child in reversed(self.children[route[-1]])]
         raise CaseError(f"the airway has no branch number {number}; it has {len(self.branches)}")
 
-    def line_to(self, number: int, length: float | None = None) -> Centerline:
-        """Centerline from the entrance to an arc length on a branch, its end by default."""
+    def line_to(self, number: int, length: float | None = None, *, begin: float = 0.0) -> Centerline:
+        """Centerline from `begin` mm down the trachea to an arc length on a branch, its end by default."""
         lines = [self.branches[k].line for k in self.route_to(number)]
         points = np.concatenate([lines[0].points, *(line.points[1:] for line in lines[1:])])
         radii = np.concatenate([lines[0].radii, *(line.radii[1:] for line in lines[1:])])
         whole = Centerline(points, radii)
-        if length is None:
-            return whole
-        before = sum(float(line.arc_length[-1]) for line in lines[:-1])
         s = whole.arc_length
-        end = float(np.clip(before + length, 1.0, s[-1]))
-        kept = s < end - 1e-6
-        last = [np.interp(end, s, c) for c in points.T]
-        return Centerline(np.vstack([points[kept], last]), np.append(radii[kept], np.interp(end, s, radii)))
+        before = sum(float(line.arc_length[-1]) for line in lines[:-1])
+        end = float(s[-1]) if length is None else float(np.clip(before + length, begin + 1.0, s[-1]))
+        kept = (s > begin + 1e-6) & (s < end - 1e-6)
+        first, last = ([np.interp(place, s, c) for c in points.T] for place in (begin, end))
+        ends = np.interp([begin, end], s, radii)
+        return Centerline(np.vstack([first, points[kept], last]), np.concatenate([ends[:1], radii[kept], ends[1:]]))
 
-    def passages(self, number: int, guide: Guide) -> tuple[Passage, ...]:
-        """The route's branches with their arc lengths on a guide."""
+    def passages(self, number: int, guide: Guide, *, begin: float = 0.0) -> tuple[Passage, ...]:
+        """The route's branches with their arc lengths on a guide, which starts `begin` mm down the trachea."""
         found: list[Passage] = []
-        begin = walked = 0.0
+        walked, begin = -begin, 0.0
         route = self.route_to(number)
         for k in route:
             branch = self.branches[k]
@@ -95,22 +123,19 @@ class AirwayTree:
             begin = end
         return tuple(found)
 
-    def wide_depth(self, number: int, robot: Robot) -> float:
-        """How far into a branch the lumen beside the centerline is wider than the robot, mm; 0 if not at its mouth.
+    def wide_depth(self, number: int, width: float) -> float:
+        """How far into a branch inscribed spheres of radius `width` follow each other, mm; 0 if not to its mouth.
 
-        A narrow place of a branch before counts too: then it is 0.
+        The trachea's first stretch is left out: it may be the closed end of a grown region.
         """
         *before, last = self.route_to(number)
-        if any(self.branches[k].line.radii.min() < robot.radius for k in before[1:]):
-            return 0.0
+        for k in before:
+            line = self.branches[k].line
+            if float(line.radii[line.arc_length > (ENTRANCE_SEARCH if k == 0 else 0.0)].min(initial=np.inf)) < width:
+                return 0.0
         line = self.branches[last].line
-        narrow = np.flatnonzero(line.radii < robot.radius + 0.01)
-        narrow = narrow[line.arc_length[narrow] > 0.0] if last == 0 else narrow
-        if last == 0:  # the trachea's first millimetres may be a closed end of the region
-            narrow = narrow[line.arc_length[narrow] > robot.active_length]
-        if len(narrow) == 0:
-            return float(line.arc_length[-1])
-        return max(float(line.arc_length[narrow[0]]) - NOSE, 0.0)
+        narrow = np.flatnonzero((line.radii < width) & (line.arc_length > (ENTRANCE_SEARCH if last == 0 else -1.0)))
+        return self.branches[last].length if len(narrow) == 0 else float(line.arc_length[max(int(narrow[0]) - 1, 0)])
 
     def nearest_place(self, point: FloatArray) -> tuple[int, float, float]:
         """Branch, arc length on it and distance, mm, of the place on any centerline nearest to a point."""

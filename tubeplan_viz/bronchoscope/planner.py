@@ -52,7 +52,7 @@ class PlannerSettings:
     """
 
     push_max: float = 8.0
-    push_min: float = 2.0
+    push_min: float = 1.0
     turn_max: float = 0.35
     goal_tolerance: float = 0.3
     goal_error_max: float = 2.0
@@ -214,6 +214,9 @@ class _Growth:
             reached = self._sample(stage)
             if reached is None:
                 dry[stage] += 1
+                near = self._nearest_end(stage) if dry[stage] >= self.settings.patience else None
+                if near is not None:
+                    return self._plan(near, None)
                 if stage > 0 and dry[stage] % self.settings.patience == 0:
                     stage -= 1
                 continue
@@ -243,6 +246,13 @@ class _Growth:
             self.failures[origin] += 1
         tally.seconds += time.perf_counter() - begun
         return reached
+
+    def _nearest_end(self, number: int) -> int | None:
+        """In the last stage: the pose nearest to the goal, corrected, if that is near enough though pushes ahead collide."""
+        best = self._best()
+        if number < len(self.stages) - 1 or self._error(best) > self.settings.goal_error_max:
+            return None
+        return self._settle(best, number)
 
     def _place_in_sphere(self, stage: Stage) -> FloatArray:
         """The text's table 2: distance, azimuth and elevation drawn one by one."""
