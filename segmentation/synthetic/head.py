@@ -54,6 +54,11 @@ def half_width(z: FloatArray | float) -> FloatArray:
     return np.asarray(7.0 + 10.0 * np.clip((42.0 - np.asarray(z)) / 48.0, 0.0, 1.0))
 
 
+def inner_width(x: FloatArray | float, z: FloatArray | float) -> FloatArray:
+    """Half the inner width of the nose, mm; below the rim of the nostril it stays what it is there."""
+    return np.asarray(half_width(np.maximum(z, rim(x))) - ALA)
+
+
 def front_edge(x: float) -> FloatArray:
     """Lowest point of the nose's contour in the sagittal plane at x: (y, z) mm."""
     low = float(rim(x))
@@ -118,7 +123,7 @@ class Head:
         wedge = _both(front - self.y, self.y - 0.0, self.across - half_width(self.z), self.z - 42.0)
         solid = _both(np.broadcast_to(wedge, self.tissue.shape), low + WALL / 2 - self.z)
         end = np.hypot(self.y - front - WALL / 2, self.z - low - WALL / 2) - WALL / 2
-        flush = _both(wedge, low - self.z, _either(self.across - SEPTUM_HALF, half_width(self.z) - ALA - self.across))
+        flush = _both(wedge, low - self.z, _either(self.across - SEPTUM_HALF, inner_width(self.x, self.z) - self.across))
         self._put(_either(solid, _both(end, self.across - half_width(self.z)), flush), SOFT, Tissue.SOFT)
         # The nostril's segments: from the front wall's lowest line to the foremost line of the floor.
         y_front, y_rear = dorsum(self.x, low) + WALL / 2, face(self.x)
@@ -173,7 +178,7 @@ class Head:
         self._put(self._box(CAVITY_HALF, (-54.0, CHOANA), (FLOOR, ROOF)), AIR, Tissue.AIR)
         self._put(self._box(12.0, (CHOANA, 8.0), (-np.inf, 10.0)), AIR, Tissue.AIR)
         self._put(self._box(6.0, (CHOANA - 1.0, -8.0), (18.0, 28.0)), AIR, Tissue.AIR)
-        inner = half_width(self.z) - ALA
+        inner = inner_width(self.x, self.z)
         vestibule = _both(
             dorsum(self.x, self.z) + WALL - self.y, self.y + 53.0, self.across - inner, FLOOR - self.z, self.z - 30.0
         )

@@ -135,7 +135,7 @@ def _entry(side: str, volume: Volume, give: tuple[float, float]) -> EntryRegion:
     nostril = np.zeros(volume.voxels.shape, dtype=bool)
     for column in range(volume.voxels.shape[2]):
         x = sign * float(volume.to_lps([0.0, 0.0, column])[0])
-        if head.SEPTUM_HALF < x < float(head.half_width(head.rim(x))) - head.ALA:
+        if head.SEPTUM_HALF < x < float(head.inner_width(x, head.rim(x))):
             front, rear = volume.to_index(nostril_segment(side, x))
             steps = int(np.ceil(4.0 * np.abs(rear - front).max())) + 1
             line = np.rint(np.linspace(front, rear, steps)).astype(int)
