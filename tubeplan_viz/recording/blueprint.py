@@ -29,6 +29,7 @@ class Contents:
     has_growth: bool = False
     has_camera: bool = False
     has_film: bool = False
+    has_reformation: bool = False
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,7 +126,16 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
     if contents.has_film:
         row.append(rrb.Spatial2DView(origin=at.FILM, name="From the tip (timeline arc_length)", background=(0, 0, 0)))
     if row:
-        space = rrb.Vertical(space, rrb.Horizontal(*row), row_shares=[7, 3])
+        below: list[rrb.View | rrb.Container] = [rrb.Horizontal(*row)]
+        if contents.has_reformation:
+            below.append(
+                rrb.Spatial2DView(
+                    origin=at.REFORMATION,
+                    name="CT straightened along the path, two planes; lines: clearance asked for",
+                    background=(0, 0, 0),
+                )
+            )
+        space = rrb.Vertical(space, *below, row_shares=[7, 3] if len(below) == 1 else [6, 2.8, 2.2])
     limits = contents.limits
     plots = [
         _bars(FlagKind.CLEARANCE, f"Clearance, mm over arc length in mm (limit {limits.clearance_min:g})"),

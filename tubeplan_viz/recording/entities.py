@@ -35,6 +35,7 @@ DECISIONS: Final = "/case/decisions"
 SUMMARY: Final = "/case/summary"
 WALK: Final = "/case/walk"
 WALK_CAMERA: Final = "/case/walk/camera"
+REFORMATION: Final = "/case/ct/reformation"
 FILM: Final = "/case/film"
 
 Color = tuple[int, int, int]

@@ -250,6 +250,11 @@ class Recording:
             plans.log_flagged(self._sink, track, flagged)
             plans.log_features(self._sink, plans.result_features(result.get("feature_points", ()), float(track.arc_length[-1])))
             log_walk(self._sink, track, flagged, limits, light=self._light)
+            if self._slicer is not None:
+                from tubeplan_viz.recording.reformation import log_reformation
+
+                log_reformation(self._sink, self._slicer, track, flagged, limits)
+                self._contents = replace(self._contents, has_reformation=True)
             self._walk_slices(track)
         self._show()
         self._sink.flush()

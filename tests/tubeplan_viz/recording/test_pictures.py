@@ -15,10 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from segmentation.volume import Volume
+from tubeplan_viz.geometry import moving_frames
 from tubeplan_viz.recording.anatomy import CONTRAST_WINDOW, grey
 from tubeplan_viz.recording.blueprint import FIELD_OF_VIEW, viewpoint
 from tubeplan_viz.recording.slices import AXES, PIXEL_MM, Slicer
-from tubeplan_viz.geometry import moving_frames
 
 TOOL = Path(__file__).parents[4] / "shared" / "tools" / "rrd_screenshot.py"
 
