@@ -15,6 +15,7 @@ from segmentation.volume import Volume
 from tubeplan_viz.endoluminal import FilmSettings, make_film
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.recording import Recording
+from tubeplan_viz.recording.anatomy import grey
 from tubeplan_viz.recording.plans import Track
 from tubeplan_viz.recording.reformation import HALF_MM, PIXEL_MM, straightened
 from tubeplan_viz.recording.slices import Slicer
@@ -38,10 +39,11 @@ def test_the_path_lies_in_the_middle_row_and_the_wall_at_its_distance() -> None:
     rows = round(2 * HALF_MM / PIXEL_MM)
     inner = line[40:-40]
     picture = straightened(slicer, inner, np.tile([0.0, 0.0, 1.0], (len(inner), 1)), rows)
-    middle = picture[rows // 2 - 1 : rows // 2 + 1]
-    assert middle.max() < 40  # air all along
+    air, tissue = (int(grey(np.array([hu], np.float32), slicer.window)[0]) for hu in (-1000, 60))
+    assert (picture[rows // 2 - 1 : rows // 2 + 1] == air).all()
     outside = picture[rows // 2 + round(4.5 / PIXEL_MM)]
-    assert outside.min() > 100  # tissue 4.5 mm away, beyond the 2.5 mm of air and a voxel
+    assert (outside == tissue).all()  # 4.5 mm away, beyond the 2.5 mm of air and a voxel
+    assert tissue > air
 
 
 def test_pictures_from_the_tip_stand_on_the_arc_length_timeline(bent_tube: Any, tmp_path: Path) -> None:
