@@ -27,6 +27,8 @@ STRAY = 3.0
 """Farthest that a run lies off the smooth surface, mm: cells of the ethmoid hang on to the sheet."""
 BEHIND_MAX = 18.0
 """How far the vomer reaches behind the lower end of the septum, mm."""
+LOW = (0.02, 0.2)
+"""The lower part of the septum, as quantiles of the height of its lines, without stray ones."""
 BRIDGE = 8.0
 """Holes in the sheet, up to twice this wide, are carried over, mm."""
 AREA_MIN = 400.0
@@ -44,11 +46,14 @@ class Sheet:
         Lines on which both sides of the septum border on air.
     carried : (up, back) bool array
         Lines on which it was carried on from neighbours.
+    choana : float
+        Index along back of the septum's lower rear end, where both airways join.
     """
 
     mask: BoolArray
     seen: BoolArray
     carried: BoolArray
+    choana: float
 
     @property
     def confidence(self) -> float:
@@ -81,8 +86,10 @@ def find_septum(hu: VoxelArray, inside: BoolArray, across: FloatArray, spacing: 
     chosen = sheet == score.argmax()
     if np.count_nonzero(chosen) * spacing[0] * spacing[1] < AREA_MIN:
         return None
-    names = _before_sphenoid(runs, _one_per_line(runs, chosen, tissue.shape, spacing), tissue, spacing)
-    return _carried_on(runs, names, tissue, spacing)
+    names = _one_per_line(runs, chosen, tissue.shape, spacing)
+    height, choana = _lower_end(runs, names)
+    names = _before_sphenoid(runs, names, tissue, spacing, height=height, choana=choana)
+    return _carried_on(runs, names, tissue, spacing, choana=choana)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,15 +154,21 @@ def _one_per_line(runs: _Runs, chosen: BoolArray, shape: tuple[int, ...], spacin
     return names[kept]
 
 
-def _before_sphenoid(runs: _Runs, names: IntArray, tissue: BoolArray, spacing: FloatArray) -> IntArray:
+def _lower_end(runs: _Runs, names: IntArray) -> tuple[float, float]:
+    """Height (up) of the septum's lower fifth, and where (back) it ends there."""
+    heights = np.quantile(runs.up[names], LOW)
+    low = names[(runs.up[names] >= heights[0]) & (runs.up[names] <= heights[1])]
+    ends = [runs.back[low[runs.up[low] == up]].max() for up in np.unique(runs.up[low])]
+    return float(heights[1]), float(np.median(ends))
+
+
+def _before_sphenoid(
+    runs: _Runs, names: IntArray, tissue: BoolArray, spacing: FloatArray, *, height: float, choana: float
+) -> IntArray:
     """Without the septum of the sphenoid sinus.
 
     Behind the choana the septum borders on the airway that goes on downwards, above it the sinus has a floor of its own.
     """
-    heights = np.quantile(runs.up[names], [0.02, 0.2])
-    low = names[(runs.up[names] >= heights[0]) & (runs.up[names] <= heights[1])]
-    ends = [runs.back[low[runs.up[low] == up]].max() for up in np.unique(runs.up[low])]
-    choana = float(np.median(ends))
     behind = names[(runs.back[names] - choana) * spacing[1] > 1.0]
     dropped = []
     for back in np.unique(runs.back[behind]):
@@ -163,12 +176,12 @@ def _before_sphenoid(runs: _Runs, names: IntArray, tissue: BoolArray, spacing: F
         lowest = ndimage.minimum(np.indices(labels.shape)[0], labels, np.arange(count + 1))
         here = behind[runs.back[behind] == back]
         sides = labels[runs.up[here], runs.first[here] - 1], labels[runs.up[here], runs.beyond[here]]
-        closed = np.maximum(lowest[sides[0]], lowest[sides[1]]) > heights[1]
+        closed = np.maximum(lowest[sides[0]], lowest[sides[1]]) > height
         dropped.append(here if (back - choana) * spacing[1] > BEHIND_MAX else here[closed])
     return np.setdiff1d(names, np.concatenate(dropped)) if dropped else names
 
 
-def _carried_on(runs: _Runs, chosen: IntArray, tissue: BoolArray, spacing: FloatArray) -> Sheet:
+def _carried_on(runs: _Runs, chosen: IntArray, tissue: BoolArray, spacing: FloatArray, *, choana: float) -> Sheet:
     """The sheet over its holes: middle and width of each line from the lines around it."""
     columns = np.arange(tissue.shape[2], dtype=float)
     line = runs.up[chosen], runs.back[chosen]
@@ -181,17 +194,17 @@ def _carried_on(runs: _Runs, chosen: IntArray, tissue: BoolArray, spacing: Float
     flat = np.pad(seen, [(int(r), int(r)) for r in reach])
     near = ndimage.distance_transform_edt(~flat, sampling=spacing[:2]) <= BRIDGE
     whole = ndimage.distance_transform_edt(near, sampling=spacing[:2]) > BRIDGE
-    whole = whole[tuple(slice(int(r), int(r) + n) for r, n in zip(reach, seen.shape, strict=True))] | seen
+    whole = whole[reach[0] : -reach[0], reach[1] : -reach[1]] | seen
     # Each line's own sides where they are seen and agree with the neighbours, the neighbours' elsewhere.
     sigma = 2.0 / spacing[:2]
     weight = ndimage.gaussian_filter(seen.astype(float), sigma)
     smooth_middle = ndimage.gaussian_filter(np.where(seen, middle, 0.0), sigma) / np.maximum(weight, 1e-12)
     smooth_width = ndimage.gaussian_filter(np.where(seen, width, 0.0), sigma) / np.maximum(weight, 1e-12)
-    nearest = ndimage.distance_transform_edt(weight < 1e-3, return_distances=False, return_indices=True)
+    nearest: IntArray = ndimage.distance_transform_edt(weight < 1e-3, return_distances=False, return_indices=True)
     smooth_middle, smooth_width = smooth_middle[tuple(nearest)], smooth_width[tuple(nearest)]
     agrees = seen & (np.abs(middle - smooth_middle) * spacing[2] <= 3.0)
     carried = whole & ~agrees
     middle = np.where(agrees, middle, smooth_middle)
     width = np.where(agrees, width, smooth_width)
     mask = np.abs(columns - middle[:, :, None]) <= 0.5 * width[:, :, None]
-    return Sheet(mask & tissue & whole[:, :, None], agrees, carried)
+    return Sheet(mask & tissue & whole[:, :, None], agrees, carried, choana)
