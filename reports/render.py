@@ -15,9 +15,11 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
+from reports.bronchoscope import make_bronchoscope_page, make_reach_page
 from reports.comparison import make_comparison_page
 from reports.matrix import make_matrix_page
 from reports.needle import make_needle_page
+from reports.needle_ct import Surroundings
 from reports.views import make_page
 from segmentation.errors import TubeplanError
 from segmentation.mesh import Surface
@@ -137,16 +139,53 @@ def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
     )
 
 
-def render_needle(case_id: str, result: Mapping[str, Any]) -> str:
+def render_needle(case_id: str, result: Mapping[str, Any], around: Surroundings) -> str:
     """The report of one needle run as HTML, without outside references and without scripts.
+
+    Parameters
+    ----------
+    case_id : str
+    result : mapping
+        The content of result.json.
+    around : Surroundings
+        CT and obstacles, for pictures.
 
     Raises
     ------
     ReportError
         If the result holds numbers that are not finite.
     """
-    page = make_needle_page(case_id, result)
+    page = make_needle_page(case_id, result, around)
     return _filled("needle.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
+
+
+def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surface) -> str:
+    """The report of one run of the bronchoscope robot as HTML, without outside references and without scripts.
+
+    Raises
+    ------
+    ReportError
+        If the result holds numbers that are not finite.
+    """
+    page = make_bronchoscope_page(case_id, result, surface)
+    return _filled(
+        "bronchoscope.html.j2", script="", style=_style(), page=page, result_json=embedded(result), json_id="tubeplan-result"
+    )
+
+
+def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
+    """The page of a reach map as HTML, from the content of reach.json; it needs no script.
+
+    Raises
+    ------
+    ReportError
+        If the document holds numbers that are not finite.
+    """
+    page = make_reach_page(document, surface)
+    told = {key: document[key] for key in document if key != "branches"}
+    return _filled(
+        "bronchoscope.html.j2", script="", style=_style(), page=page, result_json=embedded(told), json_id="tubeplan-reach"
+    )
 
 
 def _style() -> str:

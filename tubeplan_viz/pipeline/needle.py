@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from reports import render_needle, write_page
+from reports import Surroundings, render_needle, write_page
 from tubeplan_viz.cases.needle import NeedleCase, needle_case_table, needle_case_text
 from tubeplan_viz.pipeline.needle_details import case_name, content_of, path_table
 from tubeplan_viz.pipeline.needle_ground import load_ground, space, spatial_problem
@@ -72,5 +72,6 @@ def run_needle(case: NeedleCase, target: Path, options: RunOptions) -> dict[str,
         if options.report:
             with watch.stage("report"):
                 result = assemble_result(content, timings_s=watch.seconds, provenance=provenance)
-                write_page(render_needle(case_name(case), result), folder.path("report.html"))
+                around = Surroundings(ground.volume, ground.scene.body_distances if len(ground.scene) else None)
+                write_page(render_needle(case_name(case), result, around), folder.path("report.html"))
         return folder.finish(result)
