@@ -13,9 +13,9 @@ from tubeplan_viz.bronchoscope.kinematics import bend_rotation
 from tubeplan_viz.bronchoscope.mover import Command
 from tubeplan_viz.bronchoscope.robot import Robot
 
-# The front disc's rim is rounded by this radius and touches the wall with as many balls.
-RIM_ROUNDING = 0.5
-RIM_BALLS = 12
+# The front disc's rim is rounded by this radius, mm, and touches the wall with as many balls, which leave 0.08 mm between them.
+RIM_ROUNDING = 0.3
+RIM_BALLS = 24
 
 
 @dataclass(frozen=True, kw_only=True)

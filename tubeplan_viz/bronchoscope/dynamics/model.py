@@ -40,6 +40,7 @@ class Model:
     ball_geoms : (b,) int array
         Geoms of the balls, tip first, then the rim's.
     ball_radii : (b,) float array, mm
+    ball_skins : (b,) float array, mm
     ball_places : (b,) float array, mm
         Distance behind the front disc.
     passive_joints : (2 passive,) int array
@@ -55,6 +56,7 @@ class Model:
     behind: float
     ball_geoms: IntArray
     ball_radii: FloatArray
+    ball_skins: FloatArray
     ball_places: FloatArray
     passive_joints: IntArray
     passive_stiffness: FloatArray
@@ -156,6 +158,7 @@ def build_model(chain: Chain, entrance: FloatArray, passive: int) -> Model:
         behind=float(hinges[-1] - robot.active_length),
         ball_geoms=np.array([geom(number) for number in range(len(radii))]),
         ball_radii=radii,
+        ball_skins=np.where(radii < robot.radius, settings.rim_skin, settings.skin),
         ball_places=np.concatenate([ball_places, np.full(RIM_BALLS, RIM_ROUNDING)]),
         passive_joints=np.array(joints),
         passive_stiffness=np.repeat(1e3 * chain.stiffness[:passive], 2),

@@ -19,9 +19,9 @@ class DynamicsSettings:
     gravity : (3,) tuple of float
         m/s^2 in the lumen's frame; by default along +y, the back of a patient who lies on it (LPS).
     density : float
-        g/cm^3 of the whole robot.
+        g/cm^3 of the whole robot with its open working channel.
     stiffness : float
-        Flexural rigidity EI of the passive section, N mm^2; a solid tube of 3.5 mm of E = 3 MPa has 22.
+        Flexural rigidity EI of the passive section, N mm^2; a rod of 3.5 mm with E = 5.4 MPa, a soft elastomer, has 40.
     active_stiffness : float
         EI that the tendons give an active section about its commanded shape, N mm^2.
     relaxation : float
@@ -40,6 +40,8 @@ class DynamicsSettings:
     skin : float
         The robot touches where its surface is this near to the wall, mm: more than the deepest usual
         penetration of the soft contact, so that a robot at rest on the wall does not cut it.
+    rim_skin : float
+        The same for the rim of the front disc, whose sharp edge reaches further than its rounding when it stands askew, mm.
     contact_time : float
         Time constant of the contact, s.
     fine_link, fine_length : float
@@ -54,9 +56,9 @@ class DynamicsSettings:
 
     time_step: float = 0.002
     gravity: tuple[float, float, float] = (0.0, 9.81, 0.0)
-    density: float = 2.0
-    stiffness: float = 20.0
-    active_stiffness: float = 100.0
+    density: float = 1.2
+    stiffness: float = 40.0
+    active_stiffness: float = 150.0
     relaxation: float = 0.02
     integral_time: float = 0.5
     integral_share: float = 0.1
@@ -65,6 +67,7 @@ class DynamicsSettings:
     bend_speed: float = math.pi / 2
     friction: float = 0.1
     skin: float = 0.05
+    rim_skin: float = 0.15
     contact_time: float = 0.004
     fine_link: float = 3.0
     fine_length: float = 60.0
@@ -90,6 +93,6 @@ class DynamicsSettings:
         ):
             if not getattr(self, key) > 0.0:
                 raise CaseError(f"dynamics: {key} is {getattr(self, key):g}, expected more than 0")
-        for key in ("integral_share", "friction", "skin", "fine_length", "settle_time"):
+        for key in ("integral_share", "friction", "skin", "rim_skin", "fine_length", "settle_time"):
             if not getattr(self, key) >= 0.0:
                 raise CaseError(f"dynamics: {key} is {getattr(self, key):g}, expected 0 or more")

@@ -184,7 +184,7 @@ class _Run:
     def _take(self, model: Model) -> None:
         self.model = model
         self.m, self.d = model.model, model.data
-        self.planes = WallPlanes(self.simulator.wall, model.ball_radii + self.simulator.settings.skin)
+        self.planes = WallPlanes(self.simulator.wall, model.ball_radii + model.ball_skins)
         angle = 2.0 * np.pi * np.arange(RIM_PLACES) / RIM_PLACES
         radius = self.simulator.robot.radius
         self.rim = radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
@@ -343,7 +343,7 @@ class _Run:
             self._measure(rows)
         rows, sides = np.nonzero(planes.used)
         normals = planes.normals[rows, sides]
-        skin = self.simulator.settings.skin
+        skin = self.model.ball_skins[rows]
         gap = np.einsum("ij,ij->i", centers[rows] - planes.points[rows, sides], normals) - self.model.ball_radii[rows] - skin
         coming = np.einsum("ij,ij->i", before[rows] - centers[rows], normals)
         lift = skin + np.where((gap > 0.0) & (gap < np.maximum(coming, HOLD)), gap + LIFT, 0.0)
