@@ -13,7 +13,7 @@ from skimage.measure import find_contours, marching_cubes
 from reports.needle_drawings import Drawing
 from reports.places import PLANES
 from reports.slices import Window, cut, png, windows_for
-from reports.still import Label, View, choose_view, still_picture
+from reports.still import MARGIN, TALL, WIDE, Label, View, choose_view, still_picture
 from reports.svg import tag
 from reports.wall import LightMesh
 from segmentation.arrays import BoolArray, FloatArray
@@ -26,6 +26,7 @@ NEAR_MM = 3.0  # of the path counts as in the plane
 BESIDE_MM = 22.0  # of what stands beside the path is shown in space
 MESH_STEP_MM = 1.5
 SCALE_MM = 10.0
+LETTER_MM = 3.8
 SIDES = ((-0.95, 0.03, "start"), (0.95, 0.03, "end"), (0.0, -0.88, "middle"), (0.0, 0.95, "middle"))
 
 
@@ -107,13 +108,14 @@ def picture(plane: Plane, points: FloatArray, around: Surroundings, window: Wind
     for first, last in runs(near):
         line = flat[first : last + 1]
         parts.append(tag("path", class_="path-line", d="M" + "L".join(f"{a:.2f} {b:.2f}" for a, b in line)))
+    size = LETTER_MM if plane.letters else 0.7 * LETTER_MM  # the plane along the needle is drawn larger
     spot = (float((here - plane.middle) @ plane.right), float((here - plane.middle) @ plane.down))
-    parts.append(tag("circle", class_="here", cx=f"{spot[0]:.2f}", cy=f"{spot[1]:.2f}", r=f"{plane.field / 80:.2f}"))
+    parts.append(tag("circle", class_="here", cx=f"{spot[0]:.2f}", cy=f"{spot[1]:.2f}", r=f"{0.25 * size:.2f}"))
     for word, (x, y, anchor) in zip(plane.letters, SIDES, strict=False):
-        parts.append(letter(word, x * half, y * half, 0.055 * plane.field, anchor))
+        parts.append(letter(word, x * half, y * half, size, anchor))
     left, bottom = -0.94 * half, 0.93 * half
     parts.append(tag("path", class_="ct-scale", d=f"M{left:.2f} {bottom:.2f}h{SCALE_MM:.2f}"))
-    parts.append(letter("10 mm", left, bottom - 0.025 * plane.field, 0.045 * plane.field, "start"))
+    parts.append(letter("10 mm", left, bottom - 0.4 * size, 0.9 * size, "start"))
     label = f"CT, {plane.title.lower()}: path, outlines of obstacles, and their safety distance dashed"
     return Markup('<svg class="cut" viewBox="{0} {0} {1} {1}" role="img" aria-label="{2}">{3}</svg>').format(
         -half, plane.field, label, Markup("").join(parts)
@@ -149,7 +151,17 @@ def space_drawing(result: Mapping[str, Any], around: Surroundings) -> Drawing | 
     view = choose_view(points, "LPS") if result["frame"] == "LPS" else downwards(points)
     words = "Obstacles beside the path in space, with the planned path from entry to target."
     drawn = still_picture(mesh, points, (), labels, view, words, lines=lines)
+    drawn = Markup(drawn.replace(f"0 0 {WIDE} {TALL}", trimmed(mesh, view), 1))
     return Drawing("In space", drawn, "from the front" if result["frame"] == "LPS" else "")
+
+
+def trimmed(mesh: LightMesh, view: View) -> str:
+    """The part of a still picture that is not empty above and below, as its view box."""
+    right = np.cross(view.up, view.toward)
+    size = np.ptp(mesh.vertices @ np.column_stack([right, np.cross(view.toward, right)]), axis=0)
+    scale = min((WIDE - 2 * MARGIN) / max(size[0], 1e-6), (TALL - 2 * MARGIN) / max(size[1], 1e-6))
+    tall = min(float(size[1] * scale) + 4 * MARGIN, float(TALL))
+    return f"0 {0.5 * (TALL - tall):.0f} {WIDE} {tall:.0f}"
 
 
 def downwards(points: FloatArray) -> View:
@@ -175,4 +187,5 @@ def body_mesh(points: FloatArray, distance: Callable[[FloatArray], FloatArray]) 
     if not field.min() < 0.0 < field.max():
         return None
     vertices, faces, *_ = marching_cubes(field, 0.0, spacing=(MESH_STEP_MM,) * 3)
-    return LightMesh(np.asarray(vertices, float) + low, np.asarray(faces, np.int64), len(faces))
+    # The path's points belong to no face; with them the picture is wide enough for both.
+    return LightMesh(np.vstack([vertices + low, points]), np.asarray(faces, np.int64), len(faces))

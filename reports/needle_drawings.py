@@ -128,10 +128,11 @@ def flat_view(
                 drawn.append(Markup('<circle class="needle-rim" cx="{:.1f}" cy="{:.1f}" r="1.5"/>').format(x, y))
     for layer in layers:
         drawn += [Markup('<path class="{}" d="{}"/>').format(layer.name, _way(spot(line))) for line in layer.lines]
-    for place, word in zip(ends, ("entry", "target"), strict=True):
+    same = np.linalg.norm(spot(ends[0]) - spot(ends[1])) < 14.0
+    for place, word in zip(ends, ("entry, target", "") if same else ("entry", "target"), strict=True):
         x, y = spot(place)[0]
-        drawn.append(Markup('<circle class="needle-dot" cx="{:.1f}" cy="{:.1f}" r="4"/>').format(x, y))
         side, anchor = (-7, "end") if x > 0.75 * box[0] else (7, "start")
+        drawn.append(Markup('<circle class="needle-dot" cx="{:.1f}" cy="{:.1f}" r="4"/>').format(x, y))
         drawn.append(
             Markup('<text class="needle-words" x="{:.1f}" y="{:.1f}" text-anchor="{}">{}</text>').format(
                 x + side, y + 4, anchor, escape(word)

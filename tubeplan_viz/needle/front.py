@@ -8,9 +8,11 @@ from segmentation.arrays import FloatArray, IntArray
 from tubeplan_viz.needle.path import SwarmRound, Tradeoff
 from tubeplan_viz.needle.polish import polish
 from tubeplan_viz.needle.spatial import SpatialProblem, worth
+from tubeplan_viz.needle.zigzag import best_starts
 
-TIGHTER = (1.0, 2.0, 4.0)  # mm of distance beyond the safety distance on the Pareto front
-LOOSER = (0.5, 1.0, 2.0)  # mm of tip error on the Pareto front
+TIGHTER = (0.5, 1.0, 2.0, 4.0, 8.0, 12.0, 16.0)  # mm of distance beyond the safety distance
+OTHERS = 2  # ways besides the best one and the swarm's
+LOOSER = (0.5, 2.0)  # mm of tip error
 FRONT_SHOWN = 40
 
 
@@ -19,15 +21,17 @@ def pareto_front(problem: SpatialProblem, best: FloatArray, rounds: list[SwarmRo
 
     Polished ones at larger distances and at allowed tip errors, and the swarm's own populations.
     """
-    exact = [best]
-    for more in TIGHTER:
-        made = polish(problem, exact[-1], safety=problem.settings.safety + more) if len(problem.scene) else None
-        if made is not None:
-            exact.append(made)
-    exact += [made for error in LOOSER if (made := polish(problem, best, error=error)) is not None]
+    safety = problem.settings.safety
+    exact = [(best, safety)]
+    others = [rounds[-1].best, *best_starts(problem, OTHERS)]
+    for more in TIGHTER if len(problem.scene) else ():
+        made = [x for start in (exact[-1][0], *others) if (x := polish(problem, start, safety=safety + more)) is not None]
+        exact += [(x, safety + more) for x in made]
+    loose = [polish(problem, x, safety=keep, error=error) for x, keep in exact for error in LOOSER]
+    polished = [x for x, _ in exact] + [x for x in loose if x is not None]
     clouds = [state.cloud for state in rounds if state.cloud is not None]
     leads = [state.best[None] for state in rounds[:: max(1, len(rounds) // 200)]]
-    pool = np.vstack([np.array(exact), *clouds[-30:], *leads])
+    pool = np.vstack([np.array(polished), *clouds[-30:], *leads])
     found = worth(problem, pool)
     goals = np.column_stack([np.where(found.error < 1e-6, 0.0, found.error), found.length, found.danger])
     near = np.flatnonzero(np.isfinite(goals).all(axis=1) & (goals[:, 0] <= 5.0))

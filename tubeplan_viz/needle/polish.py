@@ -20,6 +20,7 @@ SAMPLED_MARGIN = 0.05  # the same where an obstacle has no closed formula and is
 MOST_GAPS = 80
 TIGHTENED = 4  # times that the distance is raised where samples missed the nearest place
 CLOSED = 1e-9  # mm
+ASKED = 0.98  # of an allowed tip error: SLSQP ends a little beyond an inequality
 COST, TIP, GAPS = slice(0, 1), slice(1, 4), slice(4, None)
 
 
@@ -109,7 +110,7 @@ def polish(problem: SpatialProblem, start: FloatArray, *, safety: float | None =
     if error > 0.0:
         tip = {
             "type": "ineq",
-            "fun": lambda y: np.array([error**2 - (outputs.value(y, TIP) ** 2).sum()]),
+            "fun": lambda y: np.array([(ASKED * error) ** 2 - (outputs.value(y, TIP) ** 2).sum()]),
             "jac": lambda y: -2.0 * (outputs.value(y, TIP) @ outputs.slope(y, TIP))[None],
         }
     else:
