@@ -6,6 +6,7 @@ from tubeplan_viz.bench.centerline import centerline
 from tubeplan_viz.bench.certificate import certificate
 from tubeplan_viz.bench.faults import faults
 from tubeplan_viz.bench.infeasible import infeasible
+from tubeplan_viz.bench.matrix import matrix
 from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
@@ -18,6 +19,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "certificate": certificate,
     "faults": faults,
     "infeasible": infeasible,
+    "matrix": matrix,
     "needle2d": needle2d,
     "needle3d": needle3d,
 }

@@ -115,6 +115,26 @@ def renal_tree(*, voxel: float = 0.471) -> TreeModel:
     return _meshed("renal tree", branches, voxel)
 
 
+def calyceal_tree(*, minor: tuple[int, ...] = (3, 4, 3), voxel: float = 0.471) -> TreeModel:
+    """A ureter, a pelvis, three infundibula and on each of them some minor calyces, ten in all."""
+    model = "ten calyces"
+    ureter = Axis(((60.0, 1.0 / 60.0, 0.0), (60.0, -1.0 / 60.0, 0.0)), np.zeros(3), _frame([0.0, 0.2, 1.0], [1.0, 0.0, 0.0]))
+    point, frame = _end(ureter)
+    pelvis = Axis(((22.0, 1.0 / 40.0, 0.0),), point, frame)
+    branches = [TreeBranch(ureter, 2.4, -1, 0), TreeBranch(pelvis, 4.5, 0, 1)]
+    point, frame = _end(pelvis)
+    for count, (angle, roll) in zip(minor, ((0.9, 0.0), (0.0, 0.0), (0.9, np.pi)), strict=True):
+        infundibulum = Axis(((22.0, 1.0 / 50.0, 0.0),), point, _turned(frame, angle, roll))
+        branches.append(TreeBranch(infundibulum, 2.9, 1, 2))
+        parent = len(branches) - 1
+        tip, tip_frame = _end(infundibulum)
+        for k in range(count):
+            # Each neck a little narrower and each turn a little sharper than the one before: cells differ.
+            turned = _turned(tip_frame, 0.6 + 0.12 * k, 2.0 * np.pi * k / count)
+            branches.append(TreeBranch(Axis(((13.0, 1.0 / 30.0, 0.0),), tip, turned), 2.1 - 0.25 * k, parent, 3))
+    return _meshed(model, branches, voxel)
+
+
 def airway_tree(*, generations: int = 5, voxel: float = 0.642) -> TreeModel:
     """A binary tree, trachea of 9 mm radius; 235,000 faces and 32 tips with 5 generations below the trachea.
 

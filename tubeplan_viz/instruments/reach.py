@@ -19,8 +19,8 @@ from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
+from tubeplan_viz.instruments.track import Track
 from tubeplan_viz.plan import Limits, NoPathError
-from tubeplan_viz.profile import FLAG_SPACING, measure_path
 from tubeplan_viz.tube import METHODS, OptimalSettings, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
 from tubeplan_viz.tube.bottleneck import Bottleneck
 
@@ -176,6 +176,7 @@ class Reach:
         self._wall, self._start, self._target, self._settings = wall, np.asarray(start, dtype=float), target, settings
         self._instruments = tuple(instruments)
         self._tips: dict[tuple[int, float, float], TipClearance] = {}
+        self._tracks: dict[int, Track] = {}
         if target.centerline is not None:
             possible = [one for one in self._instruments if self.proof_against(one) is None]
             self.search(possible)
@@ -267,7 +268,11 @@ class Reach:
         if length <= 0.0:
             return None
         if (index, length, radius) not in self._tips:
-            self._tips[index, length, radius] = tip_clearance(self.witnesses[index].curve, self._wall, length, limit=radius)
+            curve = self.witnesses[index].curve
+            if index not in self._tracks:
+                self._tracks[index] = Track.of(curve, self._wall)
+            found = tip_clearance(curve, self._wall, length, limit=radius, track=self._tracks[index])
+            self._tips[index, length, radius] = found
         return self._tips[index, length, radius]
 
     def keeps(self, witness: Witness, instrument: Instrument) -> bool:
@@ -403,15 +408,17 @@ def quick(settings: OptimalSettings) -> OptimalSettings:
 
 def witness_of(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Witness:
     """A path measured and proved."""
-    profile = measure_path(curve, wall, spacing=FLAG_SPACING)
-    tightest, sharpest = int(np.argmin(profile.clearance)), int(np.argmax(profile.curvature))
+    # Both bounds come with the extreme value met on the way and its place: nothing need be sampled for them.
+    clearance = clearance_lower_bound(curve, wall, limit=limits.clearance_min, tolerance=0.002)
+    curvature = curvature_upper_bound(curve, limit=limits.curvature_max)
+    tightest, sharpest = curve.arc_length([clearance.at, curvature.at])
     return Witness(
         curve=curve,
-        length=profile.length,
-        clearance=float(profile.clearance[tightest]),
-        clearance_at=float(profile.arc_length[tightest]),
-        clearance_bound=clearance_lower_bound(curve, wall, limit=limits.clearance_min, tolerance=0.002).bound,
-        curvature=float(profile.curvature[sharpest]),
-        curvature_at=float(profile.arc_length[sharpest]),
-        curvature_bound=curvature_upper_bound(curve, limit=limits.curvature_max).bound,
+        length=curve.length,
+        clearance=clearance.sampled,
+        clearance_at=float(tightest),
+        clearance_bound=clearance.bound,
+        curvature=curvature.sampled,
+        curvature_at=float(sharpest),
+        curvature_bound=curvature.bound,
     )
