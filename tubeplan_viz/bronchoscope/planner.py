@@ -18,11 +18,15 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from tubeplan_viz.bronchoscope.guide import Guide
+from tubeplan_viz.bronchoscope.kinematic import active_points
 from tubeplan_viz.bronchoscope.mover import Command, Mover, Step
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.route import Stage
 from tubeplan_viz.bronchoscope.steering import AIM_ROUNDS, active_shares, advanced, bends_of, command_of, fitted, predicted_tip
+from tubeplan_viz.geometry import WallDistance
 
+AWAY_ROUNDS, AWAY_MARGIN = 4, 0.15
+AT_GOAL = 0.03  # mm
 ROOM_MIN = 0.3  # mm; beside the guide, for its weight where the lumen is hardly wider than the robot
 
 
@@ -150,6 +154,7 @@ def plan_segmented(
     stages: tuple[Stage, ...],
     settings: PlannerSettings | None = None,
     *,
+    wall: WallDistance,
     rng: np.random.Generator,
     foresee: Mover | None = None,
     watch: Callable[[Node, int], None] | None = None,
@@ -166,6 +171,8 @@ def plan_segmented(
     stages : tuple of Stage
         Along the guide; the last one's sub-goal is the goal.
     settings : PlannerSettings, optional
+    wall : WallDistance
+        Sections that would meet it are laid a little away from it.
     rng : numpy.random.Generator
     foresee : Mover, optional
         A cheap mover that is asked first; pushes that it sees collide are not given to `mover`.
@@ -176,7 +183,7 @@ def plan_segmented(
     -------
     RobotPlan
     """
-    return _Growth(mover, robot, guide, stages, settings or PlannerSettings(), rng, foresee, watch).run()
+    return _Growth(mover, robot, guide, stages, settings or PlannerSettings(), wall, rng, foresee, watch).run()
 
 
 class _Growth:
@@ -189,12 +196,13 @@ class _Growth:
         guide: Guide,
         stages: tuple[Stage, ...],
         settings: PlannerSettings,
+        wall: WallDistance,
         rng: np.random.Generator,
         foresee: Mover | None,
         watch: Callable[[Node, int], None] | None,
     ) -> None:
         self.mover, self.robot, self.guide, self.stages = mover, robot, guide, stages
-        self.settings, self.rng, self.foresee, self.watch = settings, rng, foresee, watch
+        self.settings, self.wall, self.rng, self.foresee, self.watch = settings, wall, rng, foresee, watch
         self.nodes: list[Node] = []
         self.failures: list[int] = []
         self.samples: list[tuple[int, FloatArray]] = []
@@ -332,11 +340,24 @@ class _Growth:
         places = ahead - robot.active_length * (1.0 - active_shares(robot))
         line = self._line_at(places, offset, stage)
         room = np.maximum(self.guide.radius(places) - robot.radius, ROOM_MIN)
+        if stage is self.stages[-1] and ahead > stage.end - 1.0:
+            room[-1] = AT_GOAL  # the tip itself must end on the goal
         direction = line[-1] - line[-3]
         direction = direction / np.linalg.norm(direction)
-        wanted = bends
+        wanted, base = bends, step.base
         for _ in range(AIM_ROUNDS):
-            wanted = fitted(advanced(step.base, robot, bends, wanted, push), robot, wanted, line, room, direction)
+            base = advanced(step.base, robot, bends, wanted, push)
+            wanted = fitted(base, robot, wanted, line, room, direction)
+        for _ in range(AWAY_ROUNDS):
+            points, _ = active_points(robot, base, wanted)
+            gap, _, foot = self.wall.nearest(points)
+            short = robot.radius + AWAY_MARGIN - gap
+            if short.max() <= 0.0:
+                break
+            # The line goes away from the wall where the robot would meet it, and the sections are laid on it anew.
+            line = line + (np.maximum(short, 0.0) / np.maximum(gap, 1e-6))[:, None] * (points - foot)
+            wanted = fitted(base, robot, wanted, line, room, direction)
+            base = advanced(step.base, robot, bends, wanted, push)
         return command_of(wanted, push)
 
     def _settle(self, here: int, number: int) -> int | None:

@@ -26,7 +26,17 @@ from tubeplan_viz.result.schema import validate_result
 
 RESULT = "result.json"
 # Spec 0.3; a folder that holds anything else is never replaced.
-FILES = (RESULT, "case.toml", "report.html", "recording.rrd", "path.csv", "path.mrk.json", "mesh.ply")
+FILES = (
+    RESULT,
+    "case.toml",
+    "report.html",
+    "recording.rrd",
+    "path.csv",
+    "path.mrk.json",
+    "mesh.ply",
+    "actuation.csv",
+    "states.csv",
+)
 FULL = {
     errno.ENOSPC: "the disk is full",
     errno.EDQUOT: "the disk quota is used up",

@@ -1,0 +1,274 @@
+"""The pages of the bronchoscope robot: one plan with its stages and steps, and the reach map of a whole airway."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from reports import workspace
+from reports.derived import derived_values
+from reports.figures import Steps, step_chart
+from reports.folds import Fold, folds
+from reports.needle import Key
+from reports.needle_drawings import Drawing
+from reports.needle_tables import Table
+from reports.numbers import Phrase, Source, phrase
+from reports.still import Label, choose_view, still_picture
+from reports.svg import in_all_widths
+from reports.tables import DASH, or_dash
+from reports.wall import light_mesh
+from segmentation.mesh import Surface
+
+WORDS = {"ok": "Reached", "flagged": "Flagged", "infeasible": "Not reached"}
+REACH_WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "too sharp", "not found": "no way found"}
+REACH_KINDS = {"reached": "goal", "diameter": "curvature", "bend": "curvature", "not found": "clearance"}
+PLACES = 2
+
+
+@dataclass(frozen=True)
+class RobotPage:
+    """What the template prints, in its order."""
+
+    title: str
+    case_id: str
+    status: str
+    word: str
+    line: str
+    headline: Phrase
+    lead: Phrase
+    warnings: tuple[str, ...]
+    keys: tuple[Key, ...]
+    views_title: str
+    views_line: str
+    still: Markup
+    charts: tuple[Drawing, ...]
+    tables: tuple[Table, ...]
+    folds: tuple[Fold, ...]
+    foot: str
+
+
+def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Surface) -> RobotPage:
+    """Everything that the page of one plan shows."""
+    source = Source(result, derived_values(result))
+    status, details = str(result["status"]), result["details"]
+    tables = (_stages(source), _route(source), _steps(source))
+    return RobotPage(
+        title=f"{WORDS[status]}: case {case_id}",
+        case_id=case_id,
+        status=status,
+        word=WORDS[status],
+        line=f"Bronchoscope robot, {result['planner']['method']} plan",
+        headline=_headline(details),
+        lead=_lead(source),
+        warnings=tuple(str(text) for text in details.get("warnings") or ()),
+        keys=_keys(source),
+        views_title="Way of the tip",
+        views_line="The track of the tip through the airway, with the sub-goals of the stages. " + str(details["assumption"]),
+        still=_still(result, surface),
+        charts=_charts(source),
+        tables=tables,
+        folds=folds(source, ()),
+        foot="Clearance is the distance from the tip's track, or the robot's axis, to the wall; the robot's radius is taken "
+        "off where a table says so.",
+    )
+
+
+def _headline(details: Mapping[str, Any]) -> Phrase:
+    name = details["target"]["branch"]
+    return phrase(f"The robot reaches its target in {name}" if details["reached"] else f"The robot does not reach {name}")
+
+
+def _lead(source: Source) -> Phrase:
+    reason = source.result.get("reason")
+    route = " → ".join(str(part["name"]) for part in source.result["details"]["route"])
+    error = source.need("metrics.tip_error_mm", PLACES, "mm")
+    disc = source.need("metrics.disc_clearance_end_mm", PLACES, "mm")
+    tail = phrase("The tip ends ", error, " from the target, its front disc ", disc, " from the wall.")
+    said = "" if reason is None else f" {str(reason)[:1].upper()}{str(reason)[1:]}."
+    return phrase(f"{route}. ", tail, said)
+
+
+def _keys(source: Source) -> tuple[Key, ...]:
+    steps = source.result["details"]["steps"]
+    tree = source.result["details"]["tree"]
+    robot = source.need("details.robot.diameter_mm", 1, "mm")
+    lengths = phrase(
+        source.need("details.robot.proximal_length_mm", 0, "mm"), " + ", source.need("details.robot.distal_length_mm", 0, "mm")
+    )
+    made = [
+        Key("Tip error", phrase(source.need("metrics.tip_error_mm", PLACES, "mm")), phrase("distance of the tip to the target")),
+        Key(
+            "Robot",
+            phrase(robot),
+            phrase("two sections of ", lengths, ", each bends up to ", source.need("details.robot.bend_max_deg", 0, "°")),
+        ),
+        Key(
+            "Body to wall",
+            phrase(source.need("metrics.body_clearance_min_mm", PLACES, "mm")),
+            phrase("least distance of the robot's surface to the wall; below 0 it leans on it"),
+        ),
+        Key("Commands", phrase(f"{len(steps) - 1}"), phrase(f"{tree['samples']} samples, {tree['poses']} poses in the tree")),
+    ]
+    length = source.figure("metrics.length_mm", 1, "mm")
+    if length is not None:
+        least = source.need("metrics.clearance_min_mm", PLACES, "mm")
+        made.append(Key("Track", phrase(length), phrase("least clearance of its line ", least)))
+    return tuple(made)
+
+
+def _still(result: Mapping[str, Any], surface: Surface) -> Markup:
+    details = result["details"]
+    path = np.asarray(result["path"]["points_mm"], float)
+    labels = [
+        Label(np.asarray(details["target"]["point_mm"], float), "Target", "goal", 0),
+        Label(path[0], "Start of the tip", "start", 1),
+    ]
+    labels += [
+        Label(np.asarray(stage["goal_mm"], float), stage["name"].removeprefix("along "), "start", 2 + k)
+        for k, stage in enumerate(details["stages"][:-1])
+    ]
+    if details["target"]["lesion_mm"] is not None:
+        labels.append(Label(np.asarray(details["target"]["lesion_mm"], float), "Lesion", "curvature", 1))
+    mesh = light_mesh(surface)
+    view = choose_view(np.vstack([path, surface.vertices[:: max(1, len(surface.vertices) // 500)]]), str(result["frame"]))
+    words = "The wall of the airway with the track of the robot's tip and the sub-goals of its stages."
+    return still_picture(mesh, path, (), tuple(labels), view, words)
+
+
+def _charts(source: Source) -> tuple[Drawing, ...]:
+    result = source.result
+    made = []
+    course = workspace.make_course(result["path"] or {}, None, 2)
+    if course is not None:
+        charts = workspace.profiles(course, source, {})
+        units = {"clearance": "mm from the tip's track to the wall", "curvature": "1/mm, of the tip's track"}
+        made += [Drawing(kind.capitalize(), charts[kind], units[kind]) for kind in ("clearance", "curvature") if kind in charts]
+    steps = result["details"]["steps"]
+    limit = float(result["details"]["robot"]["bend_max_deg"])
+    rows: list[tuple[str, str, str, list[float], float | None, str]] = [
+        ("Front disc to the wall", "mm, by step; below 0 it collides", "clearance", _of(steps, "disc_clearance_mm"), 0.0, ""),
+        ("Body to the wall", "mm, by step, robot's radius taken off", "clearance", _of(steps, "body_clearance_mm"), 0.0, ""),
+    ]
+    for name, key in (("Proximal bend", "phi_proximal_deg"), ("Distal bend", "phi_distal_deg")):
+        values = [0.0 if step["command"] is None else float(step["command"][key]) for step in steps]
+        rows.append((name, "degrees, by step", "curvature", values, limit, f"largest {limit:.0f}°"))
+    for title, unit, kind, values, level, words in rows:
+        spec = Steps(
+            kind=kind,
+            values=np.asarray(values),
+            limit=level,
+            limit_label=words or "contact",
+            label=f"{title}, {unit}: from {values[0]:.2f} to {values[-1]:.2f}",
+        )
+        made.append(Drawing(title, in_all_widths(partial(step_chart, spec)), unit))
+    return tuple(made)
+
+
+def _of(steps: Sequence[Mapping[str, Any]], key: str) -> list[float]:
+    return [float(step[key]) for step in steps]
+
+
+def _cells(source: Source, key: str, *names: tuple[str, int]) -> tuple[Phrase, ...]:
+    return tuple(or_dash(source.figure(f"{key}.{name}", digits)) for name, digits in names)
+
+
+def _stages(source: Source) -> Table:
+    names = (("samples", 0), ("pushes", 0), ("collided", 0), ("sphere_radius_mm", 2), ("seconds", 2))
+    stages = source.result["details"]["stages"]
+    rows = tuple((phrase(stage["name"]), *_cells(source, f"details.stages.{k}", *names)) for k, stage in enumerate(stages))
+    line = "Each stage draws samples in the sphere about its sub-goal; the first one is the sub-goal itself."
+    head = ("Stage", "Samples", "Pushes", "Collided", "Sphere, mm", "Time, s")
+    return Table("stages", "Stages", line, head, rows)
+
+
+def _route(source: Source) -> Table:
+    route = source.result["details"]["route"]
+    names = (("generation", 0), ("diameter_mm", 1), ("length_mm", 1), ("turn_deg", 0), ("confidence", 2))
+    rows = tuple((phrase(part["name"]), *_cells(source, f"details.route.{k}", *names)) for k, part in enumerate(route))
+    head = ("Branch", "Generation", "Diameter, mm", "Length, mm", "Turn, °", "Confidence of the name")
+    line = "Branches on the way, named by their geometry; diameters are medians of inscribed spheres."
+    return Table("route", "Route", line, head, rows)
+
+
+def _steps(source: Source) -> Table:
+    steps = source.result["details"]["steps"]
+    angles = ("phi_proximal_deg", "theta_proximal_deg", "phi_distal_deg", "theta_distal_deg")
+    rows = []
+    for k, step in enumerate(steps):
+        if step["command"] is None:
+            command: tuple[Phrase, ...] = (DASH,) * 5
+        else:
+            command = _cells(source, f"details.steps.{k}.command", *((name, 1) for name in angles), ("push_mm", 2))
+        rest = _cells(source, f"details.steps.{k}", ("disc_clearance_mm", 2), ("body_clearance_mm", 2))
+        rows.append((phrase(f"{k}"), *command, *rest, phrase(str(step["stage"]))))
+    head = ("Step", "φ prox., °", "θ prox., °", "φ dist., °", "θ dist., °", "Push, mm", "Disc, mm", "Body, mm", "Stage")
+    line = "What the drive does: bend φ in the plane θ for each section, then the push. The same numbers are in actuation.csv."
+    return Table("steps", "Actuation", line, head, tuple(rows))
+
+
+def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
+    """Everything that the page of a reach map shows; `document` is the content of reach.json."""
+    source = Source(document)
+    counts = document["counts"]
+    total = len(document["branches"])
+    labels, lines = [], []
+    for k, row in enumerate(document["branches"]):
+        place = row["deepest_mm"] if row["deepest_mm"] is not None else row["middle_mm"]
+        if row["verdict"] == "reached" and row["leaf"]:
+            labels.append(Label(np.asarray(place, float), row["name"], "goal", 10 + k))
+        elif row["verdict"] != "reached":
+            labels.append(Label(np.asarray(place, float), row["name"], REACH_KINDS[row["verdict"]], k))
+        name = {"reached": "still-path", "not found": "still-flag clearance"}.get(row["verdict"], "still-flag curvature")
+        lines.append((name, np.asarray(row["points_mm"], float)))
+    mesh = light_mesh(surface)
+    words = (
+        f"The airway with {counts['reached']} branches that the robot reaches and {total - counts['reached']} that it does not."
+    )
+    still = still_picture(
+        mesh, np.empty((0, 3)), (), tuple(labels), choose_view(mesh.vertices, str(document["frame"])), words, lines=tuple(lines)
+    )
+    unproved = counts["not found"]
+    proof = " Every refusal is proved by the geometry." if not unproved else f" {unproved} without a proof."
+    return RobotPage(
+        title=f"Reach: case {document['case_id']}",
+        case_id=str(document["case_id"]),
+        status="ok" if unproved == 0 else "flagged",
+        word="Reach map",
+        line=f"Bronchoscope robot of {document['robot']['diameter_mm']:g} mm",
+        headline=phrase(f"{counts['reached']} of {total} branches are reached"),
+        lead=phrase(f"{counts['diameter']} are too narrow, {counts['bend']} too sharp, {unproved} were not found.{proof}"),
+        warnings=tuple(str(text) for text in document["warnings"]),
+        keys=(),
+        views_title="Airway",
+        views_line="Blue: reached. Red: refused with a proof. Orange: no way found, without a proof.",
+        still=still,
+        charts=(),
+        tables=(_branches(source),),
+        folds=(),
+        foot=str(document["rule"]),
+    )
+
+
+def _branches(source: Source) -> Table:
+    names = (
+        ("generation", 0),
+        ("diameter_mm", 1),
+        ("least_diameter_mm", 1),
+        ("length_mm", 1),
+        ("turn_deg", 0),
+        ("depth_mm", 1),
+        ("confidence", 2),
+    )
+    rows = []
+    for k, row in enumerate(source.result["branches"]):
+        title = row["name"] + (f" ({row['label']})" if row["label"] else "")
+        why = REACH_WORDS[row["verdict"]] + ("" if row["reason"] is None else f": {row['reason']}")
+        rows.append((phrase(title), *_cells(source, f"branches.{k}", *names), phrase(why)))
+    head = ("Branch", "Gen.", "⌀, mm", "Least ⌀, mm", "Length, mm", "Turn, °", "Reached, mm", "Name", "Verdict and why")
+    line = "Reached: how far into the branch the tip comes. Name: confidence that the branch is called so."
+    return Table("branches", "Branches", line, head, tuple(rows))

@@ -1,0 +1,148 @@
+"""One plan from the entrance to a target: route, guide and stages, then kinematics, then, if asked, the dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+
+import numpy as np
+
+from segmentation.arrays import FloatArray
+from segmentation.errors import CaseError
+from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance
+from tubeplan_viz.bronchoscope.guide import STEP, Guide, make_guide
+from tubeplan_viz.bronchoscope.kinematic import KinematicMover
+from tubeplan_viz.bronchoscope.mover import Mover
+from tubeplan_viz.bronchoscope.planner import Node, PlannerSettings, RobotPlan, plan_segmented
+from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.route import Stage, make_stages
+from tubeplan_viz.bronchoscope.target import Target
+from tubeplan_viz.centerline import Centerline, even_points
+
+# A robot with contacts lies on the wall; deeper than this its body is out of the lumen (the simulator's leak bound), mm.
+LEAK = 0.3
+# Over the last millimetres the guide leaves the middle for a target beside it.
+LAST_BEND = 8.0
+
+Watch = Callable[[Node, int], None]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Way:
+    """A plan with what led to it.
+
+    Attributes
+    ----------
+    plan : RobotPlan
+        By the mover that was asked for.
+    centerline : Centerline
+        From the entrance to the target.
+    guide : Guide
+        Along which the robot was steered.
+    route : tuple of int
+        Numbers of the branches.
+    foreplan : RobotPlan or None
+        The kinematic plan that came before a dynamic one.
+    """
+
+    plan: RobotPlan
+    centerline: Centerline
+    guide: Guide
+    route: tuple[int, ...]
+    foreplan: RobotPlan | None = None
+
+
+def plan_way(
+    airway: AirwayTree,
+    entrance: Entrance,
+    target: Target,
+    robot: Robot,
+    settings: PlannerSettings,
+    *,
+    rng: np.random.Generator,
+    simulator: Mover | None = None,
+    watch: Watch | None = None,
+) -> Way:
+    """Plan to a target.
+
+    Parameters
+    ----------
+    airway : AirwayTree
+    entrance : Entrance
+    target : Target
+    robot : Robot
+    settings : PlannerSettings
+    rng : numpy.random.Generator
+    simulator : Mover, optional
+        Moves the robot with dynamics; the kinematic plan's shape then guides it. Without one the kinematic plan is the plan.
+    watch : callable, optional
+        Called with each node of the tree of the mover that was asked for.
+    """
+    line = airway.line_to(target.branch, target.depth, begin=entrance.offset)
+    guide = towards(make_guide(line, robot), target.point)
+    mover = KinematicMover(airway.wall, robot, entrance.pose)
+    first = plan_segmented(
+        mover,
+        robot,
+        guide,
+        stages_on(airway, entrance, target, guide, robot),
+        settings,
+        wall=airway.wall,
+        rng=rng,
+        watch=watch if simulator is None else None,
+    )
+    route = airway.route_to(target.branch)
+    if simulator is None:
+        return Way(plan=first, centerline=line, guide=guide, route=route)
+    if first.reached:
+        guide = guide_of(first, airway, target.point)
+    plan = plan_segmented(
+        simulator,
+        robot,
+        guide,
+        stages_on(airway, entrance, target, guide, robot),
+        replace(settings, body_margin=min(settings.body_margin, -LEAK)),
+        wall=airway.wall,
+        rng=rng,
+        watch=watch,
+    )
+    return Way(plan=plan, centerline=line, guide=guide, route=route, foreplan=first)
+
+
+def stages_on(airway: AirwayTree, entrance: Entrance, target: Target, guide: Guide, robot: Robot) -> tuple[Stage, ...]:
+    """The stages of a route on a guide."""
+    return make_stages(guide, airway.passages(target.branch, guide, begin=entrance.offset), target.point, robot)
+
+
+def towards(guide: Guide, point: FloatArray) -> Guide:
+    """The guide with its end moved onto a point, fading out over its last millimetres."""
+    left = np.clip(1.0 - (guide.length - guide.arc_length) / LAST_BEND, 0.0, 1.0)
+    moved = guide.points + (left * left * (3.0 - 2.0 * left))[:, None] * (point - guide.points[-1])
+    return Guide(moved, guide.radii)
+
+
+def guide_of(plan: RobotPlan, airway: AirwayTree, goal: FloatArray) -> Guide:
+    """The robot's shape at the end of a plan as a guide: no sharper than its sections bend, and clear of the wall."""
+    body = plan.steps[-1].body
+    gaps = np.concatenate([[True], np.linalg.norm(np.diff(body, axis=0), axis=1) > 1e-6])
+    points = even_points(body[gaps], STEP)
+    return towards(Guide(points, airway.wall.distance(points)), goal)
+
+
+def make_simulator(airway: AirwayTree, entrance: Entrance, robot: Robot) -> Mover:
+    """The robot's dynamics in MuJoCo.
+
+    Raises
+    ------
+    CaseError
+        If MuJoCo is not installed.
+    """
+    if find_spec("mujoco") is None:
+        raise CaseError(
+            'the method dynamic needs MuJoCo, which is not installed: pip install "tubeplan[dynamics]", '
+            "or plan without it (--method kinematic)"
+        )
+    from tubeplan_viz.bronchoscope.dynamics import Simulator
+
+    return Simulator(airway.wall.surface, robot, entrance.pose)

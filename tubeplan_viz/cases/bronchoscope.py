@@ -1,0 +1,183 @@
+"""The case of the bronchoscope robot: the same names in the case file and on the command line, checked, defaults resolved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from segmentation.errors import CaseError
+from tubeplan_viz.bronchoscope.planner import PlannerSettings
+from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.cases.fields import check_keys, listed, number, point, subtable, text, whole
+from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
+
+METHODS = ("kinematic", "dynamic")
+# Curvature that the tip's track may have, 1/mm. The tip is swung by two sections on a moving base, so its track may
+# bend more sharply than a section (0.121 1/mm): twice as sharply, a radius of 4.1 mm.
+TRACK_CURVATURE_SHARE = 2.0
+# Key of the table [bronchoscope] -> (part, attribute).
+KEYS = {
+    "diameter_mm": ("robot", "diameter"),
+    "proximal_length_mm": ("robot", "proximal_length"),
+    "distal_length_mm": ("robot", "distal_length"),
+    "bend_max_deg": ("robot", "bend_max"),
+    "links": ("robot", "links"),
+    "push_speed_mm_per_s": ("robot", "push_speed"),
+    "passive_length_mm": ("robot", "passive_length"),
+    "robot": ("robot", "name"),
+    "push_max_mm": ("settings", "push_max"),
+    "push_min_mm": ("settings", "push_min"),
+    "turn_max_deg": ("settings", "turn_max"),
+    "goal_tolerance_mm": ("settings", "goal_tolerance"),
+    "goal_error_max_mm": ("settings", "goal_error_max"),
+    "samples_max": ("settings", "samples_max"),
+    "patience": ("settings", "patience"),
+}
+WHOLE = ("links", "samples_max", "patience")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BronchoscopeCase:
+    """One case of the bronchoscope robot, complete: running it again gives the same plan.
+
+    Attributes
+    ----------
+    input : InputCase
+    method : {"kinematic", "dynamic"}
+    start : str
+        Label of the end point where the robot goes in.
+    goal : str or (3,) tuple of float or None
+        A branch's name, an end point's label, or a place in the lumen, mm.
+    lesion : (3,) tuple of float or None
+        A place beside the airway, mm, that the tip should come as near to as it can.
+    curvature_max, clearance_min : float
+        Limits of the tip's track, 1/mm and mm.
+    rng_seed : int
+    time_budget : float, s, or None
+    robot : Robot
+    settings : PlannerSettings
+    """
+
+    input: InputCase
+    method: str
+    start: str = "E1"
+    goal: str | tuple[float, float, float] | None = None
+    lesion: tuple[float, float, float] | None = None
+    curvature_max: float
+    clearance_min: float
+    rng_seed: int = 0
+    time_budget: float | None = None
+    robot: Robot = field(default_factory=Robot)
+    settings: PlannerSettings = field(default_factory=PlannerSettings)
+
+
+def default_method() -> str:
+    """``dynamic`` where MuJoCo is installed, else ``kinematic``."""
+    return "dynamic" if find_spec("mujoco") is not None else "kinematic"
+
+
+def make_bronchoscope_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str = "case") -> BronchoscopeCase:
+    """A case from the tables ``[input]``, ``[limits]``, ``[planner]`` and ``[bronchoscope]`` of a case file.
+
+    Raises
+    ------
+    CaseError
+        Naming the file, the table and the key.
+    """
+    check_keys(table, ("input", "limits", "planner", "bronchoscope"), name, "table")
+    planner = subtable(table, "planner", name)
+    known = ("name", "method", "start", "goal", "lesion", "rng_seed", "time_budget")
+    check_keys(planner, known, f"{name} [planner]", "key")
+    method = text(planner.get("method", default_method()), f"{name} [planner] method")
+    if method not in METHODS:
+        raise CaseError(f"{name} [planner] method: bronchoscope has no method {method!r}, expected {' or '.join(METHODS)}")
+    goal, lesion = planner.get("goal"), planner.get("lesion")
+    limits = subtable(table, "limits", name)
+    check_keys(limits, ("curvature_max", "clearance_min"), f"{name} [limits]", "key")
+    own = subtable(table, "bronchoscope", name)
+    check_keys(own, list(KEYS), f"{name} [bronchoscope]", "key")
+    parts: dict[str, dict[str, Any]] = {"robot": {}, "settings": {}}
+    for key, value in own.items():
+        part, attribute = KEYS[key]
+        parts[part][attribute] = own_value(key, value, f"{name} [bronchoscope] {key}")
+    robot = Robot(**parts["robot"])
+    budget = planner.get("time_budget")
+    given = input_case(table, folder=folder, name=name)
+    if given.ct is not None and given.anatomy is None and given.seed_point is None:
+        given = replace(given, anatomy="airway")
+    return BronchoscopeCase(
+        input=given,
+        method=method,
+        start=text(planner.get("start", "E1"), f"{name} [planner] start").strip().upper(),
+        goal=None if goal is None else goal_place(goal, f"{name} [planner] goal"),
+        lesion=None if lesion is None else point(lesion, f"{name} [planner] lesion"),
+        curvature_max=number(
+            limits.get("curvature_max", round(TRACK_CURVATURE_SHARE * robot.curvature_max, 4)), f"{name} [limits] curvature_max"
+        ),
+        clearance_min=number(limits.get("clearance_min", robot.radius), f"{name} [limits] clearance_min"),
+        rng_seed=whole(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
+        time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
+        robot=robot,
+        settings=PlannerSettings(**parts["settings"]),
+    )
+
+
+def own_value(key: str, value: Any, where: str) -> Any:
+    """A value of the table [bronchoscope] in the unit of its setting."""
+    if key == "robot":
+        return text(value, where)
+    if key in WHOLE:
+        return whole(value, where)
+    found = number(value, where)
+    return float(np.radians(found)) if key.endswith("_deg") else found
+
+
+def goal_place(value: Any, where: str) -> str | tuple[float, float, float]:
+    """A branch's name or label, or coordinates."""
+    if isinstance(value, str) and "," not in value:
+        return value.strip()
+    return point(value, where)
+
+
+def bronchoscope_case_table(case: BronchoscopeCase, *, folder: Path | None = None) -> dict[str, Any]:
+    """The case as tables without keys that are unset; input paths relative to `folder`, or names only."""
+    own: dict[str, Any] = {}
+    for key, (part, attribute) in KEYS.items():
+        value = getattr(getattr(case, part), attribute)
+        own[key] = tidy_degrees(value) if key.endswith("_deg") else value
+    planner = {
+        "name": "bronchoscope",
+        "method": case.method,
+        "start": case.start,
+        "goal": case.goal,
+        "lesion": case.lesion,
+        "rng_seed": case.rng_seed,
+        "time_budget": case.time_budget,
+    }
+    tables = {
+        "input": input_table(case.input, folder=folder),
+        "limits": {"curvature_max": case.curvature_max, "clearance_min": case.clearance_min},
+        "planner": planner,
+        "bronchoscope": own,
+    }
+    return {name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()}
+
+
+def tidy_degrees(value: float) -> float:
+    """Degrees that are read back as the same radian."""
+    degrees = float(np.degrees(value))
+    tidy = round(degrees, 9)
+    return tidy if float(np.radians(tidy)) == value else degrees
+
+
+def bronchoscope_case_text(case: BronchoscopeCase, folder: Path) -> str:
+    """case.toml: every default resolved, input path relative to the run folder."""
+    head = "# tubeplan bronchoscope case, every default resolved. Research use, not for clinical decisions.\n"
+    units = "# Points and lengths in mm (LPS for a CT), curvature in 1/mm, angles in degrees, times in s.\n\n"
+    return head + units + tomli_w.dumps(bronchoscope_case_table(case, folder=folder))
