@@ -21,6 +21,7 @@ from tubeplan_viz.cli import (
     inspect,
     matrix,
     plan,
+    plan_bronchoscope,
     plan_needle,
     run,
     segment,
@@ -45,6 +46,7 @@ app.add_typer(plans, name="plan")
 plans.command("tube")(plan.tube)
 plans.command("needle2d")(plan_needle.needle2d)
 plans.command("needle3d")(plan_needle.needle3d)
+plans.command("bronchoscope")(plan_bronchoscope.bronchoscope)
 for name, command in (
     ("demo", demo.demo),
     ("init", init.init),

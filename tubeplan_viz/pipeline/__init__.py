@@ -1,5 +1,6 @@
 """The one way through: case -> volume -> surface -> plan -> outputs."""
 
+from tubeplan_viz.pipeline.bronchoscope import run_bronchoscope
 from tubeplan_viz.pipeline.lumen import Lumen, growth_details, load_lumen, segmentation_settings
 from tubeplan_viz.pipeline.needle import run_needle
 from tubeplan_viz.pipeline.options import RunOptions
@@ -21,6 +22,7 @@ __all__ = [
     "load_lumen",
     "pose_case",
     "resolve_end",
+    "run_bronchoscope",
     "run_needle",
     "run_tube",
     "segment_case",
