@@ -16,6 +16,8 @@ from tubeplan_viz.bronchoscope.robot import Robot
 # The front disc's rim is rounded by this radius, mm, and touches the wall with as many balls, which leave 0.08 mm between them.
 RIM_ROUNDING = 0.3
 RIM_BALLS = 24
+# Passive hinges come into the model in groups, so that few models are built.
+GROUP = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +64,12 @@ class Chain:
         radius, end = self.robot.radius, float(self.hinges[-1])
         spacing = min(1.25, 5.0 / 7.0 * radius)
         return np.asarray(radius + spacing * np.arange(int((end - radius) / spacing) + 1))
+
+    def passive_for(self, inserted: float) -> int:
+        """Passive hinges of the model for a base `inserted` mm behind the entrance: those outside and the next ones."""
+        places = self.passive_hinges - self.robot.active_length
+        out = int(np.searchsorted(places, inserted + self.settings.coarse_link))
+        return min(-(-(out + 1) // GROUP) * GROUP, len(places))
 
     @cached_property
     def stiffness(self) -> FloatArray:

@@ -37,8 +37,8 @@ class Model:
     behind : float
         Distance of the last hinge from the proximal section's base, mm: the pusher's coordinate is how far the base is
         inside, less this.
-    ball_geoms : (b,) int array
-        Geoms of the balls, tip first, then the rim's.
+    balls : slice
+        Geoms of the balls, from the shaft to the tip, the rim's last.
     ball_radii : (b,) float array, mm
     ball_skins : (b,) float array, mm
     ball_places : (b,) float array, mm
@@ -48,13 +48,17 @@ class Model:
     passive_stiffness : (2 passive,) float array, N um / rad
     hinge_places : (2 passive,) float array, mm
         Distance of the passive joints from the proximal section's base.
+    tip_body, base_body : int
+        The last link, and the first link of the proximal section.
+    link_bodies : (l,) int array
+        Tip first.
     """
 
     model: Any
     data: Any
     passive: int
     behind: float
-    ball_geoms: IntArray
+    balls: slice
     ball_radii: FloatArray
     ball_skins: FloatArray
     ball_places: FloatArray
@@ -112,7 +116,7 @@ def build_model(chain: Chain, entrance: FloatArray, passive: int) -> Model:
     push.forcelimited = True
     push.forcerange = [-1e3 * settings.push_force, 1e3 * settings.push_force]
 
-    ball_places = chain.balls[chain.balls < hinges[-1]]
+    ball_places = chain.balls[chain.balls < hinges[-1]][::-1]
     radii = np.concatenate([np.full(len(ball_places), robot.radius), np.full(RIM_BALLS, RIM_ROUNDING)])
     angle = 2.0 * np.pi * np.arange(RIM_BALLS) / RIM_BALLS
     ring = robot.radius - RIM_ROUNDING
@@ -146,17 +150,14 @@ def build_model(chain: Chain, entrance: FloatArray, passive: int) -> Model:
             motor.set_to_pid(kp=value, kv=value * settings.relaxation, ki=gain, imax=limit if gain > 0.0 else -1.0)
     _planes(mujoco, spec, len(radii), settings.friction, settings.contact_time)
     model = spec.compile()
-
-    def geom(number: int) -> int:
-        return int(model.geom(f"ball {number}").id)
-
+    first = int(model.geom("ball 0").id)
     joints = [int(model.joint(f"hinge {n} {side}").id) for n in range(count, count + passive) for side in range(2)]
     return Model(
         model=model,
         data=mujoco.MjData(model),
         passive=passive,
         behind=float(hinges[-1] - robot.active_length),
-        ball_geoms=np.array([geom(number) for number in range(len(radii))]),
+        balls=slice(first, first + len(radii)),
         ball_radii=radii,
         ball_skins=np.where(radii < robot.radius, settings.rim_skin, settings.skin),
         ball_places=np.concatenate([ball_places, np.full(RIM_BALLS, RIM_ROUNDING)]),

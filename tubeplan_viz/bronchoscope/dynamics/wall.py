@@ -18,14 +18,16 @@ from tubeplan_viz.geometry import WallDistance
 # Planes per ball.
 SIDES = 3
 # A ball's plane is renewed when its centre has moved by this much, mm: in a tube of radius R the plane
-# then errs by 0.12^2 / 2 / (R - r), 0.01 mm where 0.7 mm of play are left.
-RENEWAL = 0.12
+# then errs by 0.2^2 / 2 / (R - r), 0.03 mm where 0.7 mm of play are left.
+RENEWAL = 0.2
 # Planes are laid for wall nearer to the ball than this, mm; the way between renewals and the motion of a step are less.
 RANGE = 0.6
 # Wall within 50 degrees (cosine) of a plane's direction needs no plane of its own.
 SAME_SIDE = 0.64
 # Edge of the cells that hold one sample of the wall each, mm: a ball of 1.75 mm sinks 0.02 mm between samples.
 SAMPLE_CELL = 0.4
+# Where a ball was that was never asked for, mm.
+NEVER = 1e9
 # Samples looked at for each ball.
 SAMPLES = 72
 
@@ -56,8 +58,8 @@ class WallPlanes:
     def __init__(self, wall: PatientWall, radii: FloatArray) -> None:
         self._wall = wall
         self._radii = radii
-        self._asked = np.full((len(radii), 3), np.inf)
-        self.distance = np.full(len(radii), -np.inf)
+        self._asked = np.full((len(radii), 3), NEVER)
+        self.distance = np.zeros(len(radii))
         self.points = np.zeros((len(radii), SIDES, 3))
         self.normals = np.zeros((len(radii), SIDES, 3))
         self.used = np.zeros((len(radii), SIDES), dtype=bool)
@@ -73,9 +75,9 @@ class WallPlanes:
         inside : (n,) bool array
             Balls beyond the entrance; those in the sheath touch nothing.
         """
-        moved = np.linalg.norm(centers - self._asked, axis=1)
-        with np.errstate(invalid="ignore"):
-            near = inside & ~(self.distance - moved > self._radii + RANGE)
+        ways = centers - self._asked
+        moved = np.sqrt(np.einsum("ij,ij->i", ways, ways))
+        near = inside & (self.distance - moved < self._radii + RANGE)
         changed = self.used[:, 0] & ~near
         self.used[changed] = False
         if not (near & (moved > RENEWAL)).any():
