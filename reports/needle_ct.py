@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from skimage.measure import find_contours, marching_cubes
+from skimage.measure import find_contours
 
 from reports.needle_drawings import Drawing
 from reports.places import PLANES
@@ -18,13 +18,13 @@ from reports.svg import tag
 from reports.wall import LightMesh
 from segmentation.arrays import BoolArray, FloatArray
 from segmentation.volume import Volume
+from tubeplan_viz.needle.shape import level_surface
 
 FIELD_MM = 70.0
 PIXELS = 220
 CONTOUR_STEPS = 110
 NEAR_MM = 3.0  # of the path counts as in the plane
 BESIDE_MM = 22.0  # of what stands beside the path is shown in space
-MESH_STEP_MM = 1.5
 SCALE_MM = 10.0
 LETTER_MM = 3.8
 SIDES = ((-0.95, 0.03, "start"), (0.95, 0.03, "end"), (0.0, -0.88, "middle"), (0.0, 0.95, "middle"))
@@ -139,9 +139,11 @@ def space_drawing(result: Mapping[str, Any], around: Surroundings) -> Drawing | 
     if path is None or around.distance is None or result["planner"]["name"] == "needle2d":
         return None
     points = np.array(path["points_mm"], float)
-    mesh = body_mesh(points, around.distance)
-    if mesh is None:
+    vertices, faces = level_surface(around.distance, points, beside=BESIDE_MM)
+    if not len(faces):
         return None
+    # The path's points belong to no face; with them the picture is wide enough for both.
+    mesh = LightMesh(np.vstack([vertices, points]), faces, len(faces))
     labels = [Label(points[0], "Entry", "start", 0), Label(points[-1], "Target", "goal", 0)]
     if path["clearance_mm"]:
         tight = int(np.argmin(path["clearance_mm"]))
@@ -176,16 +178,3 @@ def downwards(points: FloatArray) -> View:
     toward = across + 0.5 * bend / np.linalg.norm(bend) + 0.3 * up
     toward /= np.linalg.norm(toward)
     return View(toward, up - (up @ toward) * toward)
-
-
-def body_mesh(points: FloatArray, distance: Callable[[FloatArray], FloatArray]) -> LightMesh | None:
-    """The surface of the obstacles within a box around the path; None if none is there."""
-    low, high = points.min(axis=0) - BESIDE_MM, points.max(axis=0) + BESIDE_MM
-    axes = [np.arange(a, b + MESH_STEP_MM, MESH_STEP_MM) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    field = distance(grid.reshape(-1, 3)).reshape(grid.shape[:3])
-    if not field.min() < 0.0 < field.max():
-        return None
-    vertices, faces, *_ = marching_cubes(field, 0.0, spacing=(MESH_STEP_MM,) * 3)
-    # The path's points belong to no face; with them the picture is wide enough for both.
-    return LightMesh(np.vstack([vertices + low, points]), np.asarray(faces, np.int64), len(faces))

@@ -301,8 +301,9 @@ class Scene:
 
     def body_distances(self, points: FloatArray) -> FloatArray:
         """As `distances`, for drawing: without what a label volume's distance keeps back for its error bound."""
-        kept = [body.distance(points) + (body.bound if isinstance(body, MaskObstacle) else 0.0) for body in self.obstacles]
-        return np.asarray(np.min(kept, axis=0)) if kept else np.full(points.shape[:-1], np.inf)
+        if not self.obstacles:
+            return np.full(points.shape[:-1], np.inf)
+        return np.asarray(np.min([body_distance(body, points) for body in self.obstacles], axis=0))
 
     def least_distance(self, arcs: Arcs, *, tolerance: float = 1e-3) -> FloatArray:
         """Lower bound, mm, on the distance of one path, pieces (n,), to each obstacle, (m,), over every point of it.
@@ -340,6 +341,11 @@ class Scene:
     def _at(arcs: Arcs, body: Obstacle, piece: IntArray, place: FloatArray) -> FloatArray:
         forward, aside = (np.asarray(v)[:, None] for v in chord(place, arcs.curvatures[piece]))
         return body.distance(arcs.starts[piece] + forward * arcs.tangents[piece] + aside * arcs.normals[piece])
+
+
+def body_distance(body: Obstacle, points: FloatArray) -> FloatArray:
+    """Signed distance, mm, to a body, without what a label volume's keeps back for its error bound: for drawing."""
+    return body.distance(points) + (body.bound if isinstance(body, MaskObstacle) else 0.0)
 
 
 def danger(distances: FloatArray, safety: float, *, factor: float = 1.0) -> FloatArray:

@@ -49,7 +49,7 @@ def run_needle(case: NeedleCase, target: Path, options: RunOptions) -> dict[str,
         try:
             if stream is not None:
                 entry = space(case.entry) if problem is None else problem.pose.position
-                stream.log_scene(entry, space(case.target), ground.scene.obstacles, case.safety)
+                stream.log_scene(entry, space(case.target), ground.scene, case.safety, ground.volume)
             if problem is None:
                 outcome = planned_flat(case, ground.scene, watch)
             else:

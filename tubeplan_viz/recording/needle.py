@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from segmentation.arrays import FloatArray
-from tubeplan_viz.needle.obstacles import Capsule, MaskObstacle, MeshObstacle, Obstacle, Polygon, Sphere
+from segmentation.volume import Volume
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.recording import entities as at
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module.
@@ -18,11 +19,13 @@ if TYPE_CHECKING:
 
 OBSTACLES, ENDS = f"{at.CASE}/obstacles", f"{at.CASE}/ends"
 SWARM, CLOUD, FORMS = f"{at.CASE}/swarm/best", f"{at.CASE}/swarm/population", f"{at.CASE}/forms"
-INSERTION, FRONT = f"{at.CASE}/insertion", f"{at.CASE}/pareto"
+INSERTION, FRONT, FRONT_PATHS = f"{at.CASE}/insertion", f"{at.CASE}/pareto", f"{at.CASE}/pareto_paths"
+TRIALS, TIPS = f"{at.CASE}/insertions/paths", f"{at.CASE}/insertions/tips"
 GOALS = ("error", "length", "danger")
-BODY, SHELL = (205, 110, 95), (205, 110, 95, 45)
+FRONT_COLOR, PUSHED_COLOR = (150, 130, 220, 120), (80, 205, 220)
+FRONT_SIZE = 100.0  # of the front's picture, which has no unit: the labels tell the figures
+TRIAL_COLOR, TIP_COLOR = (200, 200, 210, 90), (255, 255, 255)
 FORM_COLORS = ((96, 165, 255), (84, 178, 128), (195, 160, 255), (245, 150, 35))
-MASK_POINTS = 20_000
 
 
 class NeedleRecording:
@@ -37,6 +40,9 @@ class NeedleRecording:
     def __init__(self, sink: Sink, *, case_id: str, planner: str, frame: str, light: bool) -> None:
         self._sink, self._case_id, self._planner, self._frame, self._light = sink, case_id, planner, frame, light
         self._seen = np.zeros((0, 3))
+        self._scene: Scene | None = None
+        self._volume: Volume | None = None
+        self._last = 0
         self._open = True
 
     @classmethod
@@ -67,11 +73,14 @@ class NeedleRecording:
         """Sentences about the live viewer."""
         return self._sink.warnings
 
-    def log_scene(self, entry: FloatArray, target: FloatArray, obstacles: Sequence[Obstacle], safety: float) -> None:
-        """Entry, target, obstacles and the shells that the path must stay out of."""
+    def log_scene(self, entry: FloatArray, target: FloatArray, scene: Scene, safety: float, volume: Volume | None = None) -> None:
+        """Entry, target, obstacles and the shells that the path must stay out of; `volume` is the CT for planes at the end."""
         import rerun as rr
 
+        from tubeplan_viz.recording.needle_scene import shapes
+
         self._seen = np.vstack([entry, target])
+        self._scene, self._volume = scene, None if self._light else volume
         self._sink.log(
             ENDS,
             rr.Points3D(
@@ -82,9 +91,9 @@ class NeedleRecording:
             ),
             static=True,
         )
-        for k, body in enumerate(obstacles):
+        for k, body in enumerate(scene.obstacles):
             entity = f"{OBSTACLES}/{k + 1}"
-            for suffix, shape in _shapes(body, safety):
+            for suffix, shape in shapes(body, safety, self._seen):
                 self._sink.log(f"{entity}{suffix}", shape, static=True)
         self._sink.flush()
 
@@ -92,6 +101,7 @@ class NeedleRecording:
         """The swarm's best path after one round, some of its population, and the goals of eq. 14."""
         import rerun as rr
 
+        self._last = index
         self._sink.at(at.ITERATION, index)
         self._sink.log(SWARM, rr.LineStrips3D([best], colors=at.PATH, radii=rr.Radius.ui_points(1.5)))
         if cloud is not None and not self._light:
@@ -102,33 +112,12 @@ class NeedleRecording:
         self._sink.flush()
 
     def finish(self, result: Mapping[str, Any]) -> None:
-        """The chosen path, forms, front, insertion and summary, from the content of result.json."""
+        """The chosen path, forms, front, insertions, CT planes and summary, from the content of result.json."""
         import rerun as rr
 
-        details = result["details"]
-        for form in details.get("forms", ()):
-            if form["feasible"]:
-                color = FORM_COLORS[form["degree"] - 1]
-                label = f"{form['form']}, {form['length_mm']:.2f} mm"
-                line = rr.LineStrips3D(
-                    [form["points_mm"]], colors=color, labels=label, show_labels=False, radii=rr.Radius.ui_points(1.0)
-                )
-                self._sink.log(f"{FORMS}/degree_{form['degree']}/{form['form']}", line, static=True)
-        front = details.get("pareto", ())
-        if front:
-            points = [(p["length_mm"], p["danger"]) for p in front]
-            names = [f"error {p['error_mm']:.3f} mm, length {p['length_mm']:.2f} mm, danger {p['danger']:.2f}" for p in front]
-            self._sink.log(
-                FRONT, rr.Points2D(points, labels=names, show_labels=False, radii=rr.Radius.ui_points(4.0)), static=True
-            )
-        insertion = details.get("insertion")
-        if insertion:
-            strip = rr.LineStrips3D([insertion["points_mm"]], colors=(80, 205, 220), radii=rr.Radius.ui_points(2.5))
-            self._sink.log(INSERTION, strip, static=True)
-            for k, step in enumerate(insertion["replans"]):
-                self._sink.at(at.ARC_LENGTH, int(step["at_mm"] * at.TICKS_PER_MM))
-                told = f"{step['at_mm']:.1f} mm: {step['cause']}; " + ("replanned" if step["found"] else "no path from here")
-                self._sink.log(at.DECISIONS, rr.TextLog(f"{k + 1}. {told}", level="INFO" if step["found"] else "WARN"))
+        self._log_forms(result["details"])
+        self._log_front(result["details"])
+        self._log_insertions(result["details"])
         path = result["path"]
         if path is not None:
             self._seen = np.vstack([self._seen, path["points_mm"]])
@@ -137,9 +126,71 @@ class NeedleRecording:
             for tick, here in zip(path["s_mm"][::5], path["points_mm"][::5], strict=True):
                 self._sink.at(at.ARC_LENGTH, int(tick * at.TICKS_PER_MM))
                 self._sink.log(at.WALK, rr.Points3D([here], colors=at.HERE, radii=rr.Radius.ui_points(5.0)))
+            if self._volume is not None and self._scene is not None:
+                from tubeplan_viz.recording.needle_ct import log_ct
+
+                points, gaps = np.array(path["points_mm"], float), path["clearance_mm"]
+                log_ct(
+                    self._sink,
+                    self._volume,
+                    self._scene.body_distances if len(self._scene) else None,
+                    np.array(path["s_mm"], float),
+                    points,
+                    safety=result["limits"]["clearance_min_mm"],
+                    tightest=len(points) // 2 if gaps is None else int(np.argmin(gaps)),
+                    last=self._last,
+                )
         document = rr.TextDocument(summary(self._case_id, result), media_type=rr.MediaType.MARKDOWN)
         self._sink.log(at.SUMMARY, document, static=True)
         self._sink.flush()
+
+    def _log_forms(self, details: Mapping[str, Any]) -> None:
+        import rerun as rr
+
+        for form in details.get("forms", ()):
+            if form["feasible"]:
+                color = FORM_COLORS[form["degree"] - 1]
+                label = f"{form['form']}, {form['length_mm']:.2f} mm"
+                line = rr.LineStrips3D(
+                    [form["points_mm"]], colors=color, labels=label, show_labels=False, radii=rr.Radius.ui_points(1.0)
+                )
+                self._sink.log(f"{FORMS}/degree_{form['degree']}/{form['form']}", line, static=True)
+
+    def _log_front(self, details: Mapping[str, Any]) -> None:
+        import rerun as rr
+
+        front = details.get("pareto", ())
+        if not front:
+            return
+        goals = np.array([(p["length_mm"], p["danger"]) for p in front], float)
+        share = (goals - goals.min(axis=0)) / np.maximum(np.ptp(goals, axis=0), 1e-9)
+        points = FRONT_SIZE * np.column_stack([share[:, 0], 0.5 * (1.0 - share[:, 1])])  # danger upwards
+        names = [f"error {p['error_mm']:.3f} mm, length {p['length_mm']:.2f} mm, danger {p['danger']:.2f}" for p in front]
+        dots = rr.Points2D(points, labels=names, show_labels=False, radii=rr.Radius.ui_points(4.0))
+        self._sink.log(FRONT, dots, static=True)
+        lines = rr.LineStrips3D(
+            [p["points_mm"] for p in front], labels=names, show_labels=False, colors=FRONT_COLOR, radii=rr.Radius.ui_points(0.7)
+        )
+        self._sink.log(FRONT_PATHS, lines, static=True)
+
+    def _log_insertions(self, details: Mapping[str, Any]) -> None:
+        import rerun as rr
+
+        insertion = details.get("insertion")
+        if insertion:
+            strip = rr.LineStrips3D([insertion["points_mm"]], colors=PUSHED_COLOR, radii=rr.Radius.ui_points(2.5))
+            self._sink.log(INSERTION, strip, static=True)
+            for k, step in enumerate(insertion["replans"]):
+                self._sink.at(at.ARC_LENGTH, int(step["at_mm"] * at.TICKS_PER_MM))
+                told = f"{step['at_mm']:.1f} mm: {step['cause']}; " + ("replanned" if step["found"] else "no path from here")
+                self._sink.log(at.DECISIONS, rr.TextLog(f"{k + 1}. {told}", level="INFO" if step["found"] else "WARN"))
+        chances = details.get("monte_carlo")
+        if chances:
+            lines = rr.LineStrips3D(list(chances["paths_mm"]), colors=[TRIAL_COLOR], radii=rr.Radius.ui_points(0.6))
+            self._sink.log(TRIALS, lines, static=True)
+            if chances["offsets_mm"]:
+                tips = np.array(details["target_mm"], float) + np.array(chances["offsets_mm"], float)
+                self._sink.log(TIPS, rr.Points3D(tips, colors=TIP_COLOR, radii=rr.Radius.ui_points(2.0)), static=True)
 
     def close(self) -> None:
         """Publish the file; a second call does nothing."""
@@ -173,7 +224,7 @@ class NeedleRecording:
         space = rrb.Spatial3DView(
             origin=at.CASE,
             name="3D (research use, not for clinical decisions)",
-            contents=["$origin/**", f"- {FRONT}"],
+            contents=["$origin/**", f"- {FRONT}", f"- {at.CT}/**"],
             background=rrb.Background(color=BACKGROUND),
             line_grid=False,
             eye_controls=controls,
@@ -188,9 +239,24 @@ class NeedleRecording:
                 rrb.TimeSeriesView(origin=f"{at.CONVERGENCE}/{name}", name=f"{name.capitalize()} by round of the swarm")
                 for name in GOALS
             ]
-            side = [rrb.Tabs(*plots, active_tab=0), rrb.Spatial2DView(origin=FRONT, name="Pareto front: length, danger"), *side]
+            side = [
+                rrb.Tabs(*plots, active_tab=0),
+                rrb.Spatial2DView(origin=FRONT, name="Pareto front: length to the right, danger upwards"),
+                *side,
+            ]
+        scene: rrb.View | rrb.Container = space
+        if self._volume is not None:
+            from tubeplan_viz.recording.slices import FIELD_MM, PIXEL_MM
+
+            pixels = FIELD_MM / PIXEL_MM
+            bounds = rrb.VisualBounds2D(x_range=(0.0, pixels), y_range=(0.0, pixels))
+            planes = [
+                rrb.Spatial2DView(origin=f"{at.CT}/{plane}", name=f"CT, {plane}", background=(0, 0, 0), visual_bounds=bounds)
+                for plane in at.PLANES
+            ]
+            scene = rrb.Vertical(space, rrb.Horizontal(*planes), row_shares=[3, 2])
         return rrb.Blueprint(
-            rrb.Horizontal(space, rrb.Vertical(*side), column_shares=[5, 4]),
+            rrb.Horizontal(scene, rrb.Vertical(*side), column_shares=[5, 4]),
             rrb.TopPanel(state="collapsed"),
             rrb.BlueprintPanel(state="collapsed"),
             rrb.SelectionPanel(state="collapsed"),
@@ -214,29 +280,3 @@ def summary(case_id: str, result: Mapping[str, Any]) -> str:
     table = "| | |\n|--|--|\n" + "\n".join(lines) if lines else ""
     planner = f"{result['planner']['name']} ({result['planner']['method']})"
     return f"## {head}\n\nCase **{case_id}**, {planner}\n\n{table}\n\n*{at.NOTICE}*"
-
-
-def _shapes(body: Obstacle, safety: float) -> list[tuple[str, Any]]:
-    """An obstacle and its safety shell as things of the scene."""
-    import rerun as rr
-
-    if isinstance(body, Sphere):
-        made = []
-        for suffix, size, color in (("", body.radius, (*BODY, 255)), ("/shell", body.radius + safety, SHELL)):
-            half = [(1e-3 if body.kind == "circle" else size, size, size)]
-            made.append((suffix, rr.Ellipsoids3D(centers=[body.center], half_sizes=half, colors=[color], fill_mode="solid")))
-        return made if safety > 0.0 else made[:1]
-    if isinstance(body, Capsule):
-        lines = [("", rr.LineStrips3D([body.points], colors=BODY, radii=body.radius))]
-        shell = rr.LineStrips3D([body.points], colors=[SHELL], radii=body.radius + safety)
-        return [*lines, ("/shell", shell)] if safety > 0.0 else list(lines)
-    if isinstance(body, Polygon):
-        ring = np.column_stack([np.zeros(len(body.corners) + 1), np.vstack([body.corners, body.corners[:1]])])
-        return [("", rr.LineStrips3D([ring], colors=BODY, radii=rr.Radius.ui_points(2.0)))]
-    if isinstance(body, MeshObstacle):
-        mesh = rr.Mesh3D(vertex_positions=body.surface.vertices, triangle_indices=body.surface.faces, albedo_factor=(*BODY, 190))
-        return [("", mesh)]
-    assert isinstance(body, MaskObstacle)
-    rim = body.rim()
-    step = max(1, len(rim) // MASK_POINTS)
-    return [("", rr.Points3D(rim[::step], colors=BODY, radii=0.5 * float(np.mean(body.volume.spacing))))]
