@@ -181,3 +181,26 @@ def _closes(tissue: BoolArray, spacing: FloatArray, front: IntArray, rear: IntAr
     pocket = np.argwhere(np.isin(labels, touched)) + low
     beyond = ((pocket - [front[0], rear[1]]) * spacing[:2] > BEYOND).any(axis=1)
     return bool(np.count_nonzero(beyond) * spacing[0] * spacing[1] >= POCKET)
+
+
+def widened(nostril: BoolArray, spacing: FloatArray, *, outwards: int, give: tuple[float, float]) -> BoolArray:
+    """A nostril with the skin's give: everything up to so far outwards and upwards of it.
+
+    Parameters
+    ----------
+    nostril : (up, back, left) bool array
+    spacing : (3,) float array, mm
+    outwards : int
+        1 if away from the septum is to the left, -1 if it is to the right.
+    give : (sideways, upwards), mm
+    """
+    out = nostril.copy()
+    for axis, way, distance in ((2, outwards, give[0]), (0, 1, give[1])):
+        steps = round(distance / float(spacing[axis]))
+        before = out.copy()
+        for step in range(1, min(steps, out.shape[axis] - 1) + 1):
+            source, target = [slice(None)] * 3, [slice(None)] * 3
+            source[axis] = slice(None, -step) if way > 0 else slice(step, None)
+            target[axis] = slice(step, None) if way > 0 else slice(None, -step)
+            out[tuple(target)] |= before[tuple(source)]
+    return out

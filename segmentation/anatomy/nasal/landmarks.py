@@ -41,9 +41,9 @@ class Coarse:
     spacing: FloatArray
 
     @classmethod
-    def of(cls, upright: Upright) -> Coarse:
-        """Cells of a head."""
-        up, back, left = np.maximum(np.round(COARSE / upright.spacing), 1).astype(int).tolist()
+    def of(cls, upright: Upright, *, size: float = COARSE) -> Coarse:
+        """Cells of about `size` mm; where a voxel is larger it is the cell."""
+        up, back, left = np.maximum(np.round(size / upright.spacing), 1).astype(int).tolist()
         factor = (up, back, left)
         return cls(factor, block_mean(upright.voxels, factor), upright.spacing * factor)
 
@@ -53,9 +53,9 @@ class Coarse:
             mask = np.take(mask, np.minimum(np.arange(size) // count, mask.shape[axis] - 1), axis=axis)
         return mask
 
-    def to_fine(self, index: FloatArray) -> FloatArray:
+    def to_fine(self, index: FloatArray | IntArray) -> FloatArray:
         """Fractional voxel index of fractional cell indices."""
-        return (np.asarray(index) + 0.5) * self.factor - 0.5
+        return (np.asarray(index, dtype=float) + 0.5) * self.factor - 0.5
 
     def to_cell(self, index: FloatArray | IntArray) -> FloatArray:
         """Fractional cell index of fractional voxel indices."""

@@ -62,7 +62,9 @@ class Sheet:
         return float(np.count_nonzero(self.seen)) / whole if whole else 0.0
 
 
-def find_septum(hu: VoxelArray, inside: BoolArray, across: FloatArray, spacing: FloatArray) -> Sheet | None:
+def find_septum(
+    hu: VoxelArray, inside: BoolArray, across: FloatArray, spacing: FloatArray, *, seed: FloatArray | None = None
+) -> Sheet | None:
     """The septum in a box about the nose; None where no sheet is large enough.
 
     Parameters
@@ -73,6 +75,8 @@ def find_septum(hu: VoxelArray, inside: BoolArray, across: FloatArray, spacing: 
     across : (up, back, left) float array, mm
         Distance from the plane of symmetry, growing to the left.
     spacing : (3,) float array, mm
+    seed : (3,) float array, optional
+        A place in it, [up, back, left]; otherwise the largest sheet near the midline is taken.
     """
     tissue = (hu > GAP_MAX) | ~inside
     runs = _runs(tissue, across, float(spacing[2]))
@@ -83,11 +87,15 @@ def find_septum(hu: VoxelArray, inside: BoolArray, across: FloatArray, spacing: 
     # One line holds a run of a sheet once, so that counting runs measures the sagittal area.
     count = np.bincount(sheet)
     score = count / (1.0 + np.bincount(sheet, weights=middle) / count / 3.0)
-    chosen = sheet == score.argmax()
+    best = int(score.argmax())
+    if seed is not None:
+        places = np.stack([runs.up, runs.back, 0.5 * (runs.first + runs.beyond - 1)], axis=1)
+        best = int(sheet[np.linalg.norm((places - seed) * spacing, axis=1).argmin()])
+    chosen = sheet == best
     if np.count_nonzero(chosen) * spacing[0] * spacing[1] < AREA_MIN:
         return None
     names = _one_per_line(runs, chosen, tissue.shape, spacing)
-    height, choana = _lower_end(runs, names)
+    height, choana = lower_end(runs.up[names], runs.back[names])
     names = _before_sphenoid(runs, names, tissue, spacing, height=height, choana=choana)
     return _carried_on(runs, names, tissue, spacing, choana=choana)
 
@@ -154,11 +162,17 @@ def _one_per_line(runs: _Runs, chosen: BoolArray, shape: tuple[int, ...], spacin
     return names[kept]
 
 
-def _lower_end(runs: _Runs, names: IntArray) -> tuple[float, float]:
-    """Height (up) of the septum's lower fifth, and where (back) it ends there."""
-    heights = np.quantile(runs.up[names], LOW)
-    low = names[(runs.up[names] >= heights[0]) & (runs.up[names] <= heights[1])]
-    ends = [runs.back[low[runs.up[low] == up]].max() for up in np.unique(runs.up[low])]
+def lower_end(up: IntArray, back: IntArray) -> tuple[float, float]:
+    """Height (up) of the septum's lower fifth, and where (back) it ends there: at the choana.
+
+    Parameters
+    ----------
+    up, back : (n,) int array
+        The lines across the head that meet the septum.
+    """
+    heights = np.quantile(up, LOW)
+    low = (up >= heights[0]) & (up <= heights[1])
+    ends = [back[low & (up == height)].max() for height in np.unique(up[low])]
     return float(heights[1]), float(np.median(ends))
 
 

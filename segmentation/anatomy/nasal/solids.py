@@ -10,16 +10,20 @@ from segmentation.arrays import BoolArray, FloatArray, IntArray
 
 def grown(mask: BoolArray, radius: float, spacing: FloatArray) -> BoolArray:
     """All voxels within `radius` mm of the mask."""
-    if not mask.any():
-        return mask.copy()
-    return np.asarray(ndimage.distance_transform_edt(~mask, sampling=spacing) <= radius)
+    out = np.zeros_like(mask)
+    if mask.any():
+        box = box_of(mask, radius, spacing)
+        out[box] = ndimage.distance_transform_edt(~mask[box], sampling=spacing) <= radius
+    return out
 
 
 def shrunk(mask: BoolArray, radius: float, spacing: FloatArray) -> BoolArray:
     """Voxels of the mask farther than `radius` mm from any voxel outside; the array's border is not outside."""
-    if mask.all():
-        return mask.copy()
-    return np.asarray(ndimage.distance_transform_edt(mask, sampling=spacing) > radius)
+    out = np.zeros_like(mask)
+    if mask.any():
+        box = box_of(mask, float(spacing.max()), spacing)
+        out[box] = True if mask[box].all() else ndimage.distance_transform_edt(mask[box], sampling=spacing) > radius
+    return out
 
 
 def closed(mask: BoolArray, radius: float, spacing: FloatArray) -> BoolArray:
@@ -60,3 +64,17 @@ def box_of(mask: BoolArray, margin: float, spacing: FloatArray) -> tuple[slice, 
         there = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
         sides.append(slice(max(int(there[0] - reach[axis]), 0), min(int(there[-1] + reach[axis]) + 1, mask.shape[axis])))
     return sides[0], sides[1], sides[2]
+
+
+def parts(mask: BoolArray, smallest: int = 1) -> list[BoolArray]:
+    """The parts connected across faces with at least so many voxels, the largest first."""
+    labels, count = ndimage.label(mask)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    return [np.asarray(labels == k + 1) for k in np.argsort(sizes)[::-1] if sizes[k] >= smallest]
+
+
+def near(mask: BoolArray, place: IntArray | FloatArray, radius: float, spacing: FloatArray) -> BoolArray:
+    """The part connected across faces that comes nearest to a place; empty if none comes within `radius` mm."""
+    places = np.argwhere(mask)
+    away = np.linalg.norm((places - place) * spacing, axis=1)
+    return holding(mask, places[away.argmin()]) if away.size and away.min() <= radius else np.zeros_like(mask)

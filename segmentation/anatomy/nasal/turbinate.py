@@ -8,6 +8,7 @@ it from what lies above.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,6 @@ from scipy import ndimage
 
 from segmentation.anatomy.nasal import solids
 from segmentation.anatomy.nasal.scene import SIDES
-from segmentation.anatomy.nasal.septum import Sheet
 from segmentation.arrays import BoolArray, FloatArray, IntArray, VoxelArray
 
 TISSUE_MIN = -300.0
@@ -74,7 +74,15 @@ def _within(value: float, limits: tuple[float, float]) -> float:
 
 
 def find_turbinates(
-    hu: VoxelArray, inside: BoolArray, across: FloatArray, spacing: FloatArray, *, septum: Sheet, front: int
+    hu: VoxelArray,
+    inside: BoolArray,
+    across: FloatArray,
+    spacing: FloatArray,
+    *,
+    septum: BoolArray,
+    choana: float,
+    front: int,
+    seeds: Mapping[str, FloatArray] | None = None,
 ) -> dict[str, Turbinate]:
     """The inferior turbinates in a box about the nose; a side without one is absent.
 
@@ -86,24 +94,28 @@ def find_turbinates(
     across : (up, back, left) float array, mm
         Distance from the plane of symmetry, growing to the left.
     spacing : (3,) float array, mm
-    septum : Sheet
+    septum : (up, back, left) bool array
+    choana : float
+        Index along back of the septum's lower rear end.
     front : int
         Index along back from where on the cavity is looked at: the rear edge of the nostrils.
+    seeds : mapping of side to (3,) float array, optional
+        A place in the turbinate, [up, back, left]; otherwise the largest body of tissue is taken.
     """
-    rear = round(septum.choana)
+    rear = round(choana)
     if rear - front < LENGTH[0] / 2 / spacing[1]:
         return {}
-    air = (hu <= TISSUE_MIN) & inside & (np.abs(across) <= HALF_WIDTH_MAX) & ~septum.mask
+    air = (hu <= TISSUE_MIN) & inside & (np.abs(across) <= HALF_WIDTH_MAX) & ~septum
     height = _height(air, across, spacing, front, rear)
     low = air & (height <= MEATUS)
     low[:, rear + 1 :] = False
     labels, count = ndimage.label(low)
-    touched = np.bincount(labels[ndimage.binary_dilation(septum.mask, iterations=2)], minlength=count + 1)
+    touched = np.bincount(labels[ndimage.binary_dilation(septum, iterations=2)], minlength=count + 1)
     touched[0] = 0
     airway = np.isin(labels, np.flatnonzero(touched * spacing.prod() > 50.0))
     # The turbinate's own bone is a thin leaf, that of wall and floor is not.
     solid = solids.opened(hu > BONE_MIN, LEAF, spacing)
-    tissue = (hu > TISSUE_MIN) & ~septum.mask & ~solid & (height > -UNDER)
+    tissue = (hu > TISSUE_MIN) & ~septum & ~solid & (height > -UNDER)
     tissue[:, :front] = False
     tissue[:, rear + 1 + round(REAR / float(spacing[1])) :] = False
     sides = {}
@@ -111,14 +123,17 @@ def find_turbinates(
         lateral = sign * across
         wall = _wall(airway, lateral, spacing, front, rear)
         if wall is not None:
-            part = tissue & (lateral <= wall[None, :, None] + 0.5 * spacing[2]) & _beside(septum.mask, sign)
+            part = tissue & (lateral <= wall[None, :, None] + 0.5 * spacing[2]) & _beside(septum, sign)
             part[:, : _aperture(hu, lateral, height, wall, spacing)] = False
             sides[side] = part
     if not sides:
         return {}
     both = np.any(list(sides.values()), axis=0)
     top = _meatus(both, height, spacing)
-    bodies = {side: _body(part & (height <= top[None, :, None]), hu, spacing) for side, part in sides.items()}
+    bodies = {
+        side: _body(part & (height <= top[None, :, None]), hu, spacing, None if seeds is None else seeds.get(side))
+        for side, part in sides.items()
+    }
     return {side: body for side, body in bodies.items() if body is not None}
 
 
@@ -177,8 +192,9 @@ def _meatus(tissue: BoolArray, height: FloatArray, spacing: FloatArray) -> Float
     return np.asarray(ndimage.gaussian_filter1d(levels[area.argmin(axis=0)] + 0.5 * spacing[0], 4.0 / spacing[1]))
 
 
-def _body(tissue: BoolArray, hu: VoxelArray, spacing: FloatArray) -> Turbinate | None:
-    body = solids.largest(solids.opened(tissue, THIN, spacing))
+def _body(tissue: BoolArray, hu: VoxelArray, spacing: FloatArray, seed: FloatArray | None) -> Turbinate | None:
+    bodies = solids.opened(tissue, THIN, spacing)
+    body = solids.largest(bodies) if seed is None else solids.near(bodies, seed, 5.0, spacing)
     if not body.any():
         return None
     for plane in range(body.shape[1]):  # the bone's leaf was left out where it is thick
