@@ -6,19 +6,24 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial import Delaunay
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.tube.bottleneck import JITTER, JITTER_BOUND, Bottleneck, hoods, lattice, spanning_tree, triangle_widths
+from tubeplan_viz.tube.bottleneck import Bottleneck
+from tubeplan_viz.tube.triangulation import JITTER, JITTER_BOUND, hoods, lattice, spanning_tree, triangle_widths
 
+# A line that keeps this share of what its ends allow leaves nothing to search.
+CLOSE = 0.97
 CORNERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 class ClearanceCeiling:
-    """Widest ways from one start, prepared once for all targets.
+    """Widest ways from one start, prepared once for all targets and only when one of them needs it.
 
     Parameters
     ----------
@@ -32,10 +37,50 @@ class ClearanceCeiling:
         self._start = np.asarray(start, dtype=float)
         # No path has more clearance than its start, so that hoods need be no deeper.
         self._first = float(wall.distance(self._start)[0])
+
+    @cached_property
+    def _ways(self) -> WidestWays:
+        return WidestWays(self._wall, self._start, depth=self._first)
+
+    def to(self, goal: FloatArray, *, kept: float = 0.0) -> Bottleneck:
+        """What no path from the start to `goal` surpasses, and where.
+
+        Parameters
+        ----------
+        goal : (3,) float array, mm
+        kept : float, mm
+            Least clearance of a line that is known to lead there. Where the ends themselves allow hardly
+            more, they are the answer and nothing is searched.
+        """
+        goal = np.asarray(goal, dtype=float)
+        last = float(self._wall.distance(goal)[0])
+        lowest = (
+            Bottleneck(bound=self._first, place=self._start, end="start")
+            if self._first <= last
+            else Bottleneck(bound=last, place=goal, end="goal")
+        )
+        if kept >= CLOSE * lowest.bound:
+            return lowest
+        found = self._ways.narrowest(goal)
+        return found if found is not None and found.bound < lowest.bound else lowest
+
+
+class WidestWays:
+    """The tree of widest chains of tetrahedra from one start.
+
+    Parameters
+    ----------
+    wall : WallDistance
+    start : (3,) float array, mm
+    depth : float, mm
+        Of the hoods over open ends: no path of interest keeps more clearance.
+    """
+
+    def __init__(self, wall: WallDistance, start: FloatArray, *, depth: float) -> None:
         surface = wall.surface
         corners = surface.vertices[surface.faces if wall.closed_ends else surface.wall_faces]
         spacing = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
-        points = np.concatenate([lattice(corners, 0.8 * spacing), hoods(wall, 1.2 * self._first + spacing, spacing)])
+        points = np.concatenate([lattice(corners, 0.8 * spacing), hoods(wall, 1.2 * depth + spacing, spacing)])
         self._points = points + np.random.default_rng(0).uniform(-JITTER, JITTER, points.shape)
         delaunay = Delaunay(self._points, qhull_options="Qbb Qc Qz Q12")
         self._simplices = delaunay.simplices
@@ -50,7 +95,20 @@ class ClearanceCeiling:
         self._key = i * (cells + 1) + j  # rises, so that a pair is found by bisection
         self._width, self._middle = width, middle
         tree = spanning_tree(cells + 1, i, j, width)
-        self._previous = breadth_first_order(tree, self._cell(self._start), directed=False)[1]
+        self._previous = breadth_first_order(tree, self._cell(start), directed=False)[1]
+
+    def narrowest(self, goal: FloatArray) -> Bottleneck | None:
+        """The narrowest triangle on the widest chain to `goal`; None where start and goal share a tetrahedron."""
+        cell, chain = self._cell(goal), []
+        while self._previous[cell] >= 0:
+            before = int(self._previous[cell])
+            chain.append(min(cell, before) * (len(self._simplices) + 1) + max(cell, before))
+            cell = before
+        if not chain:
+            return None
+        crossed = np.searchsorted(self._key, np.array(chain))
+        least = int(crossed[np.argmin(self._width[crossed])])
+        return Bottleneck(bound=float(self._width[least]) + JITTER_BOUND, place=self._middle[least])
 
     def _cell(self, point: FloatArray) -> int:
         """The tetrahedron that holds a point, or the cell beyond the hull."""
@@ -64,27 +122,6 @@ class ClearanceCeiling:
         if not len(least) or least.max() < -1e-9:
             return len(self._simplices)
         return int(boxed[np.flatnonzero(solid)[int(np.argmax(least))]])
-
-    def to(self, goal: FloatArray) -> Bottleneck:
-        """What no path from the start to `goal` surpasses, and where."""
-        goal = np.asarray(goal, dtype=float)
-        last = float(self._wall.distance(goal)[0])
-        lowest = (
-            Bottleneck(bound=self._first, place=self._start, end="start")
-            if self._first <= last
-            else Bottleneck(bound=last, place=goal, end="goal")
-        )
-        cell, chain = self._cell(goal), []
-        while self._previous[cell] >= 0:
-            before = int(self._previous[cell])
-            chain.append(min(cell, before) * (len(self._simplices) + 1) + max(cell, before))
-            cell = before
-        if not chain:
-            return lowest
-        crossed = np.searchsorted(self._key, np.array(chain))
-        narrowest = int(crossed[np.argmin(self._width[crossed])])
-        bound = float(self._width[narrowest]) + JITTER_BOUND
-        return Bottleneck(bound=bound, place=self._middle[narrowest]) if bound < lowest.bound else lowest
 
 
 def widest_of_each(

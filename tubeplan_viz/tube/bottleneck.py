@@ -1,29 +1,31 @@
 """The widest way through a lumen: an upper bound on the clearance of any path, whatever its bends."""
 
-# Strategy: wall points, and points of a hood set on each end cap, are triangulated (Delaunay). A path from
-# start to goal runs through a chain of tetrahedra and crosses the triangles between them. On a
-# triangle no point is farther from all three corners than its circumradius (or, when it is obtuse,
-# less), so the path comes that near to the wall. The widest chain is the edge of a maximum
-# spanning tree; its narrowest triangle bounds the least clearance of every path. Finer wall points about that
-# triangle tighten the bound. The hood keeps chains from leaving through a cap and coming back outside.
+# Strategy: the lumen is cut into cubes with a bound each (`cells`). A path from start to goal runs
+# through a chain of cubes that share faces (a path through a mere edge or corner touches all cubes there, and so a chain of
+# them), and keeps no more clearance than the least bound of the chain. The widest chain is the way between both
+# ends in a maximum spanning tree; its least bound is the answer. Cubes about the narrow places of that chain are
+# split, until the bound there is close to the clearance at a cube's centre.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
-from scipy.spatial import Delaunay, cKDTree
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial import cKDTree
 
-from segmentation.arrays import FloatArray, IntArray, frozen_array
+from segmentation.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.tube.cells import Cells, first_cells, split
 
-# Keeps Qhull off the degenerate lattices of structured meshes, mm.
-JITTER = 1e-3
-# A corner moved by the jitter moves the bound by no more than this.
-JITTER_BOUND = float(np.sqrt(3.0)) * JITTER
-ROUNDS = 6
+# The bound is sharpened until it is within this share of the clearance of some way, as far as the cubes tell.
+CLOSE = 0.01
+ROUNDS = 60
+# Share of a cube's ball in which the clearance is taken to fall from that at the centre.
+INNER = 0.3
+# Cubes within this many times its ball's radius of a cube that is split are split too, if they could take its place.
+NEAR = 3.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,7 +50,9 @@ class Bottleneck:
         object.__setattr__(self, "place", frozen_array(self.place, (3,), "place"))
 
 
-def widest_way(wall: WallDistance, start: FloatArray, goal: FloatArray, *, limit: float | None = None) -> Bottleneck:
+def widest_way(
+    wall: WallDistance, start: FloatArray, goal: FloatArray, *, limit: float | None = None, known: float = 0.0
+) -> Bottleneck:
     """Bound the least clearance of all paths from `start` to `goal` from above.
 
     Parameters
@@ -57,7 +61,10 @@ def widest_way(wall: WallDistance, start: FloatArray, goal: FloatArray, *, limit
     start, goal : (3,) float array, mm
         Inside the lumen.
     limit : float, mm, optional
-        The bound is refined only until it falls below it.
+        No way is looked at when an end alone is narrower.
+    known : float, mm, optional
+        Clearance that some path is known to keep; what is narrower need not be looked at. It makes the search faster
+        and changes no bound, save that none is returned below it.
 
     Returns
     -------
@@ -68,153 +75,88 @@ def widest_way(wall: WallDistance, start: FloatArray, goal: FloatArray, *, limit
     best = Bottleneck(bound=float(ends[narrow]), place=(start, goal)[narrow], end=("start", "goal")[narrow])
     if limit is not None and best.bound < limit:
         return best
-    surface = wall.surface
-    corners = surface.vertices[surface.faces if wall.closed_ends else surface.wall_faces]
-    spacing = float(np.median(np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)))
-    # Only clearances up to the ends' own matter, so the hoods need not be deeper than that.
-    fixed = np.concatenate([lattice(corners, 1.5 * spacing), hoods(wall, 1.2 * best.bound + spacing, spacing)])
-    points = fixed
+    known = min(known, best.bound)
+    ceiling = best.bound
+    cells = first_cells(wall, known)
+    node = np.arange(len(cells.width))  # cubes known to be wide enough are joined into one node
     for _ in range(ROUNDS):
-        capacity, place = widest_chain(points, start, goal)
-        bound = capacity + JITTER_BOUND
+        upper = np.minimum(cells.upper, ceiling)
+        chain = widest_chain(cells, node, upper, cells.holding(start), cells.holding(goal))
+        if chain is None:
+            # No chain keeps what is known: up to rounding it is the bound itself.
+            return best if best.bound <= known else replace(best, bound=known)
+        bound = float(upper[chain].min(initial=ceiling))
+        reach = cells.reach
         if bound < best.bound:
-            best = Bottleneck(bound=bound, place=place)
-        achieved = float(wall.distance(place)[0])
-        if (limit is not None and best.bound < limit) or bound - achieved < 0.01 * bound or bound >= float(ends.min()):
+            best = Bottleneck(bound=bound, place=cells.center(chain[[int(np.argmin(upper[chain]))]])[0])
+        if best.bound - known < CLOSE * best.bound:
             break
-        points = np.unique(np.concatenate([points, finer(corners, place, 3.0 * bound, 0.12 * bound)]), axis=0)
+        # Cubes of the chain in which it could be narrower than the bound by more than is asked.
+        seeds = chain[cells.distance[chain] - INNER * reach[chain] < (1.0 - CLOSE) * bound]
+        if not len(seeds):
+            break
+        wide = cells.alive & (cells.distance - reach >= bound)
+        cells, node = joined(cells, node, wide, ceiling)
+        chosen = np.union1d(seeds, around(cells, seeds, upper, bound))
+        cells = split(cells, chosen, known=known, sharp=0.9 * bound)
+        node = np.concatenate([node, np.arange(len(node), len(cells.width))])
     return best
 
 
-def finer(corners: FloatArray, place: FloatArray, reach: float, spacing: float) -> FloatArray:
-    """Points at most `spacing` mm apart on the faces within `reach` mm of a place."""
-    centers = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centers[:, None], axis=2).max(axis=1)
-    found = lattice(corners[np.linalg.norm(centers - place, axis=1) - radii < reach], spacing)
-    return found[np.linalg.norm(found - place, axis=1) < reach]
-
-
-def lattice(corners: FloatArray, spacing: float) -> FloatArray:
-    """The corners of triangles (m, 3, 3), and points on them at most `spacing` mm apart along each edge."""
-    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-    count = np.clip(np.ceil(longest / spacing), 1, 64).astype(int)
-    made = [np.empty((0, 3))]
-    for n in np.unique(count):
-        own = corners[count == n]
-        i, j = (grid.ravel() for grid in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-        s, t = (axis[i + j <= n, None] / n for axis in (i, j))
-        points = own[:, None, 0] + s * (own[:, None, 1] - own[:, None, 0]) + t * (own[:, None, 2] - own[:, None, 0])
-        made.append(points.reshape(-1, 3))
-    points = np.concatenate(made)
-    _, first = np.unique(np.round(points / 1e-5).astype(np.int64), axis=0, return_index=True)
-    return points[first]
-
-
-def hoods(wall: WallDistance, depth: float, spacing: float) -> FloatArray:
-    """Points of a hood over each cap that is no wall: its rim pushed outwards, closed `depth` mm beyond.
-
-    From inside, a hood's sides are hidden behind the rim, which is wall, and its end is
-    `depth` mm away. A hood point that another part of the surface is nearer to than the depth is left
-    out: leaving one out only opens ways, and the bound stays a bound.
-    """
-    surface = wall.surface
-    if wall.closed_ends:
-        return np.empty((0, 3))
-    made = [np.empty((0, 3))]
-    for number, cap in enumerate(surface.caps):
-        faces = surface.faces[surface.face_cap == number]
-        edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-        unique, count = np.unique(edges, axis=0, return_counts=True)
-        rim = surface.vertices[np.unique(unique[count == 1])]
-        top = float(((surface.vertices[np.unique(faces)] - cap.center) @ cap.normal).max())
-        heights = np.arange(spacing, depth + spacing, spacing)
-        flat = rim - ((rim - cap.center) @ cap.normal)[:, None] * cap.normal
-        sides = (rim[None] + (top + heights)[:, None, None] * cap.normal).reshape(-1, 3)
-        radius = float(np.linalg.norm(flat - cap.center, axis=1).max())
-        rings = [np.zeros((1, 2))]
-        for r in np.arange(spacing, radius + spacing, spacing):
-            angle = np.linspace(0.0, 2.0 * np.pi, int(np.ceil(2.0 * np.pi * r / spacing)), endpoint=False)
-            rings.append(r * np.column_stack([np.cos(angle), np.sin(angle)]))
-        disc = np.concatenate(rings)
-        side = np.cross(cap.normal, np.eye(3)[int(np.argmin(np.abs(cap.normal)))])
-        side /= np.linalg.norm(side)
-        end = cap.center + (top + depth) * cap.normal + disc[:, :1] * side + disc[:, 1:] * np.cross(cap.normal, side)
-        hood = np.concatenate([sides, end])
-        others = surface.vertices[np.unique(surface.faces[surface.face_cap != number])]
-        others = others[np.linalg.norm(others - cap.center, axis=1) > radius + depth] if len(others) else others
-        if len(others):
-            hood = hood[cKDTree(others).query(hood)[0] > depth]
-        made.append(hood[~wall.inside(hood)] if len(hood) else hood)
-    return np.concatenate(made)
-
-
-def widest_chain(points: FloatArray, start: FloatArray, goal: FloatArray) -> tuple[float, FloatArray]:
-    """Width of the widest chain of tetrahedra from start to goal, and the middle of its narrowest triangle.
-
-    Everything beyond the points' hull is one more cell, which an end outside the hull lies in.
-    """
-    rng = np.random.default_rng(0)
-    jittered = points + rng.uniform(-JITTER, JITTER, points.shape)
-    delaunay = Delaunay(jittered, qhull_options="Qbb Qc Qz Q12")
-    cells = len(delaunay.simplices)
-    i = np.repeat(np.arange(cells), 4)
-    j = delaunay.neighbors.ravel()
-    j = np.where(j < 0, cells, j)
-    opposite = np.tile(np.arange(4), cells)
-    keep = j > i
-    i, j, opposite = i[keep], j[keep], opposite[keep]
-    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[opposite]
-    triangles = np.take_along_axis(delaunay.simplices[i], others, axis=1)
-    width, middle = triangle_widths(jittered[triangles])
-    tree = spanning_tree(cells + 1, i, j, width)
-    ends = delaunay.find_simplex(np.array([start, goal]))
-    first, last = (int(cell) if cell >= 0 else cells for cell in ends)
-    if first == last:
-        return float("inf"), np.asarray(start)
-    previous = breadth_first_order(tree, first, directed=False, return_predecessors=True)[1]
-    narrowest, place = float("inf"), np.asarray(start)
-    key = i.astype(np.int64) * (cells + 1) + j
-    order = np.argsort(key)
-    cell = last
-    while cell != first:
-        parent = int(previous[cell])
-        k = int(order[np.searchsorted(key, min(cell, parent) * (cells + 1) + max(cell, parent), sorter=order)])
-        if width[k] < narrowest:
-            narrowest, place = float(width[k]), middle[k]
-        cell = parent
-    return narrowest, place
-
-
-def spanning_tree(cells: int, i: IntArray, j: IntArray, width: FloatArray) -> csr_matrix:
-    """Tree that joins all cells over the widest triangles."""
+def widest_chain(cells: Cells, node: IntArray, upper: FloatArray, first: int, last: int) -> IntArray | None:
+    """Nodes of the chain between two cubes whose least bound is largest, last first; None when nothing joins them."""
+    if first < 0 or last < 0:
+        return None
+    start, goal = int(node[first]), int(node[last])
+    if start == goal:
+        return np.array([start])
+    ends = np.sort(node[cells.pairs], axis=1)
+    width = upper[cells.pairs].min(axis=1)
+    differ = ends[:, 0] != ends[:, 1]
+    key, width = ends[differ] @ np.array([len(node), 1]), width[differ]
+    order = np.argsort(key, kind="stable")
+    key, width = key[order], width[order]
+    fresh = np.flatnonzero(np.concatenate([[True], np.diff(key) != 0])[: len(key)])
+    widest = np.maximum.reduceat(width, fresh) if len(fresh) else width
     # The minimum tree takes the least weights; they must be positive.
-    weight = width.max() + 1.0 - width
-    return minimum_spanning_tree(csr_matrix((weight, (i, j)), shape=(cells, cells)))
+    weight = float(upper.max()) + 1.0 - widest
+    graph = csr_matrix((weight, (key[fresh] // len(node), key[fresh] % len(node))), shape=(len(node), len(node)))
+    previous = breadth_first_order(minimum_spanning_tree(graph), start, directed=False)[1]
+    chain = [goal]
+    while chain[-1] != start:
+        if previous[chain[-1]] < 0:
+            return None
+        chain.append(int(previous[chain[-1]]))
+    return np.array(chain)
 
 
-def triangle_widths(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Largest distance that a point of each triangle keeps from all three corners, (k,) mm, and that point.
+def joined(cells: Cells, node: IntArray, wide: BoolArray, ceiling: float) -> tuple[Cells, IntArray]:
+    """Neighbouring cubes in which no point is narrower than the bound found, made one node."""
+    within = wide[cells.pairs].all(axis=1)
+    ends = node[cells.pairs[within]]
+    graph = csr_matrix((np.ones(len(ends), dtype=np.int8), (ends[:, 0], ends[:, 1])), shape=(len(node), len(node)))
+    label = connected_components(graph, directed=False)[1]
+    _, first = np.unique(label, return_index=True)
+    made = Cells(
+        wall=cells.wall,
+        origin=cells.origin,
+        unit=cells.unit,
+        corner=cells.corner,
+        width=cells.width,
+        distance=cells.distance,
+        upper=np.where(wide, ceiling, cells.upper),
+        alive=cells.alive,
+        pairs=cells.pairs[~within],
+    )
+    return made, np.asarray(first[label[node]])
 
-    It is the circumradius when the triangle is acute. When it is obtuse the point lies on the longest edge,
-    where the perpendicular bisector of the longer of the other two meets it.
-    """
-    a, b, c = (corners[:, k] for k in range(3))
-    lengths = np.stack([np.linalg.norm(b - c, axis=1), np.linalg.norm(c - a, axis=1), np.linalg.norm(a - b, axis=1)], axis=1)
-    order = np.argsort(lengths, axis=1)
-    ordered = np.take_along_axis(corners, order[:, :, None], axis=1)  # corner opposite the shortest, middle, longest edge
-    short, middle, long = np.take_along_axis(lengths, order, axis=1).T
-    first, second, apex = ordered[:, 0], ordered[:, 1], ordered[:, 2]
-    # The longest edge runs from `first` to `second`; apex-second is the shortest edge, apex-first the middle one.
-    cosine = (middle**2 + long**2 - short**2) / np.maximum(2.0 * middle * long, 1e-30)
-    obtuse = short**2 + middle**2 <= long**2
-    along = 0.5 * middle / np.maximum(cosine, 1e-30)
-    edge = (second - first) / np.maximum(long, 1e-30)[:, None]
-    on_edge = first + along[:, None] * edge
-    height = apex - first
-    height = height - np.einsum("ij,ij->i", height, edge)[:, None] * edge
-    height /= np.maximum(np.linalg.norm(height, axis=1, keepdims=True), 1e-30)
-    sine = np.sqrt(np.clip(1.0 - cosine**2, 0.0, None))
-    radius = 0.5 * short / np.maximum(sine, 1e-30)
-    rise = np.sqrt(np.clip(radius**2 - 0.25 * long**2, 0.0, None))
-    center = first + 0.5 * long[:, None] * edge + rise[:, None] * height
-    return np.where(obtuse, along, radius), np.where(obtuse[:, None], on_edge, center)
+
+def around(cells: Cells, seeds: IntArray, upper: FloatArray, bound: float) -> IntArray:
+    """Cubes about the seeds, no smaller than they, that could take their place in the next chain."""
+    reach = cells.reach
+    rival = np.flatnonzero(cells.alive & (upper >= 0.98 * bound) & (cells.distance - INNER * reach < (1.0 - CLOSE) * bound))
+    if not len(rival):
+        return np.empty(0, dtype=np.int64)
+    gap, which = cKDTree(cells.center(seeds)).query(cells.center(rival))
+    near = (gap <= NEAR * reach[seeds][which] + reach[rival]) & (reach[rival] >= 0.9 * reach[seeds][which])
+    return np.asarray(rival[near])

@@ -9,7 +9,8 @@ from tubeplan_viz.bench.models import Model, narrow_neck, straight_tube, torus_p
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import Limits, Plan, PlanStatus
 from tubeplan_viz.tube import TubeSettings, conclude, pose_problem, tube_steps
-from tubeplan_viz.tube.bottleneck import triangle_widths, widest_way
+from tubeplan_viz.tube.bottleneck import widest_way
+from tubeplan_viz.tube.triangulation import triangle_widths
 
 NECK = 1.0
 
