@@ -1,0 +1,133 @@
+"""Verdicts on straight pushes and on turns at a node, with a count of how many collision evaluations they took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from segmentation.arrays import BoolArray, FloatArray, IntArray
+from tubeplan_viz.rigid.collision import collide, to_frame
+from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, posed, swept, unit, up_of
+from tubeplan_viz.rigid.obstacles import Obstacles
+
+TURN_SLACK_MM = 0.4  # a turn that is not proved free with this much room is refused
+TURN_PARTS = 4
+TURN_LOOKS = (0.5, 0.25, 0.75)  # poses of a turn that are looked at before it is proved
+
+
+@dataclass
+class Judge:
+    """Collision checks of one instrument among obstacles.
+
+    Attributes
+    ----------
+    obstacles : Obstacles
+    instrument : CoupledInstrument
+    margin : float, mm
+        Least distance asked for between the instrument and any obstacle.
+    mouth : (m, 3) float array, LPS mm
+        Points of the entry region: what is farther behind the tip than all of them is outside the head.
+    exact : bool
+        Decide by the exact test what the envelope refuses.
+    evaluations : int
+        Instruments put to the test so far: pushes count 1, a turn as many poses as it takes.
+    """
+
+    obstacles: Obstacles
+    instrument: CoupledInstrument
+    mouth: FloatArray
+    margin: float = 0.0
+    exact: bool = False
+    evaluations: int = field(default=0)
+
+    def push(self, start: FloatArray, end: FloatArray, roll: FloatArray) -> tuple[IntArray, FloatArray]:
+        """What the instrument meets while its tip goes from `start` to `end`, both (n, 3) LPS.
+
+        Returns
+        -------
+        label : (n,) int array
+            Index of the structure, -1 where the way is free.
+        place : (n, 3) float array, LPS mm
+            Of that structure; not a number where it is free.
+        """
+        self.evaluations += len(start)
+        bodies = to_frame(swept(self.instrument, start, end, roll), self.obstacles.frame)
+        return self._verdict(bodies.grown(self.margin) if self.margin else bodies)
+
+    def _verdict(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
+        hits = collide(self.obstacles, bodies, exact=self.exact)
+        label, place = hits.label.reshape(-1, 2), hits.place.reshape(-1, 2, 3)
+        # The shaver's hit is told where both hit.
+        second = (label[:, 0] < 0).astype(int)
+        rows = np.arange(len(label))
+        return label[rows, second], self.obstacles.frame.to_lps(place[rows, second])
+
+    def turn(self, node: FloatArray, before: FloatArray, after: FloatArray, roll: FloatArray) -> BoolArray:
+        """Whether the instrument, its tip resting on a node, can turn from one direction to another: (n,).
+
+        The turn is cut into pieces, each seen from its middle: no point of the instrument moves farther from there than
+        its distance from the tip times half the piece's angle. All middle poses, grown by that, must be free.
+        """
+        free = np.ones(len(node), dtype=bool)
+        depth = self._depth(node)
+        for share in TURN_LOOKS:
+            rows = np.flatnonzero(free)
+            free[rows] = self._pose_free(node, before, after, roll, rows, np.full(len(rows), share), np.zeros(len(rows)), depth)
+        rows = np.flatnonzero(free)
+        # Along the way the pose turns by little more than between its ends, since "above" changes with the direction.
+        angle = self._angle(before[rows], after[rows], roll[rows])
+        count = np.maximum(np.ceil(depth[rows] * 0.5 * angle / TURN_SLACK_MM).astype(int), 1)
+        owner = np.repeat(rows, count)
+        share = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / np.repeat(count, count)
+        blocked = ~self._pose_free(node, before, after, roll, owner, share, np.full(len(owner), TURN_SLACK_MM), depth)
+        free[owner[blocked]] = False
+        return free
+
+    def _pose_free(
+        self,
+        node: FloatArray,
+        before: FloatArray,
+        after: FloatArray,
+        roll: FloatArray,
+        rows: IntArray,
+        share: FloatArray,
+        slack: FloatArray,
+        depth: FloatArray,
+    ) -> BoolArray:
+        """Whether the poses of some turns at some share of the way, grown by some mm, are free: (len(rows),)."""
+        self.evaluations += len(rows)
+        direction = between(before[rows], after[rows], share)
+        bodies = posed(self.instrument, node[rows], direction, roll[rows])
+        near = to_frame(bodies.cut(np.repeat(node[rows], 2, axis=0), np.repeat(depth[rows], 2)), self.obstacles.frame)
+        label, _ = self._verdict(near.grown(np.repeat(slack, 2) + self.margin))
+        return np.asarray(label < 0)
+
+    def _depth(self, node: FloatArray) -> FloatArray:
+        """How far behind each node the instrument can meet an obstacle, (n,) mm."""
+        low, high = self.mouth.min(axis=0), self.mouth.max(axis=0)
+        far = np.maximum(np.abs(node - low), np.abs(node - high))
+        return np.asarray(np.linalg.norm(far, axis=1) + self.instrument.reach)
+
+    def _angle(self, before: FloatArray, after: FloatArray, roll: FloatArray) -> FloatArray:
+        """Sum of the rotation's angles over `TURN_PARTS` parts of a turn and 1 % more, (n,) radian."""
+        frames = []
+        for part in range(TURN_PARTS + 1):
+            direction = between(before, after, np.full(len(before), part / TURN_PARTS))
+            up = up_of(direction, roll)
+            frames.append(np.stack([direction, up, np.cross(direction, up)], axis=1))
+        total = np.zeros(len(before))
+        for one, other in pairwise(frames):
+            trace = np.einsum("nij,nij->n", one, other)
+            total += np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
+        return np.asarray(1.01 * total)
+
+
+def between(before: FloatArray, after: FloatArray, share: FloatArray) -> FloatArray:
+    """Directions on the shortest way between two, (n, 3)."""
+    angle = np.arccos(np.clip(np.einsum("ij,ij->i", before, after), -1.0, 1.0))
+    sine = np.maximum(np.sin(angle), 1e-12)
+    a = np.where(angle < 1e-9, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
+    b = np.where(angle < 1e-9, share, np.sin(share * angle) / sine)
+    return unit(a[:, None] * before + b[:, None] * after)
