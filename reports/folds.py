@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.numbers import Figure, Phrase, Source, phrase
-from reports.svg import LEFT, RIGHT, Axis, Width, frame, grid, in_all_widths, path_axis, tag, trace
 from reports.tables import DASH, or_dash
 from reports.words import part_at
-from segmentation.arrays import FloatArray
 
 PLACES_LISTED = 25
 HANDLED_DETAILS = {
@@ -64,7 +61,6 @@ class Fold:
     bars: tuple[Bar, ...] = ()
     head: tuple[str, ...] = ()
     rows: tuple[tuple[Phrase, ...], ...] = ()
-    chart: Markup | None = None
 
 
 def numbers_behind(source: Source, parts: Sequence[Mapping[str, Any]]) -> Fold | None:
@@ -102,7 +98,6 @@ def folds(source: Source, parts: Sequence[Mapping[str, Any]]) -> tuple[Fold, ...
     made = (
         numbers_behind(source, parts),
         _proof(source),
-        _tolerance(source),
         _ends(source),
         _own_details(source),
         _settings(source),
@@ -124,70 +119,6 @@ def _proof(source: Source) -> Fold | None:
     if certificate.get("method"):
         facts.append(Fact("Method", phrase(str(certificate["method"]))))
     return Fold("Proof", phrase("bounds that hold between the samples"), tuple(facts))
-
-
-def _tolerance(source: Source) -> Fold | None:
-    """What errors of pose do to the path, in words and place by place."""
-    told = (source.result.get("details") or {}).get("tolerance")
-    if not told:
-        return None
-    key = "details.tolerance"
-    chance = source.need(f"{key}.probability", 3)
-    facts = [
-        Fact(
-            "Error of pose",
-            phrase(
-                "shift ",
-                source.need(f"{key}.translation_mm", 1, "mm"),
-                " and turn ",
-                source.need(f"{key}.rotation_deg", 1, "°"),
-                " root mean square, about the middle of the path; ",
-                source.need(f"{key}.samples", 0),
-                " drawn",
-            ),
-        ),
-        Fact(
-            "Stays clear with probability",
-            phrase(
-                chance,
-                ", 95 % interval ",
-                source.need(f"{key}.probability_low", 3),
-                " to ",
-                source.need(f"{key}.probability_high", 3),
-            ),
-        ),
-        Fact("Weakest place", phrase(source.need(f"{key}.weakest_mm", 1, "mm"), " along the path")),
-    ]
-    first = source.figure(f"{key}.first_breach_mm", 1, "mm")
-    if first is not None:
-        facts.append(Fact("First breach on the way in", phrase("at ", first, " in the median of the errors that fail")))
-    count = len(told["s_mm"])
-    rows = tuple(
-        (phrase(source.need(f"{key}.s_mm.{k}", 1)), phrase(source.need(f"{key}.clear.{k}", 3)))
-        for k in sorted({round(k) for k in np.linspace(0, count - 1, min(PLACES_LISTED, count))})
-    )
-    return Fold(
-        "Tolerance",
-        phrase("stays clear with probability ", chance),
-        tuple(facts),
-        chart=clear_chart(np.asarray(told["s_mm"], float), np.asarray(told["clear"], float)),
-        head=("Arc length, mm", "Clear, share"),
-        rows=rows,
-    )
-
-
-def clear_chart(arc: FloatArray, clear: FloatArray) -> Markup:
-    """Share of the errors under which each place stays clear, over arc length."""
-
-    def draw(width: Width) -> Markup:
-        tall = 150.0
-        x, y = Axis(0.0, float(arc[-1]), LEFT, width.plot - RIGHT), Axis(0.0, 1.0, tall - 24.0, 10.0)
-        parts = grid((LEFT, width.plot - RIGHT), y, 0.25)
-        parts += path_axis(float(arc[-1]), x, y.start, width.plot - LEFT - RIGHT)
-        parts.append(tag("path", class_="after", d=trace(arc, clear, x, y)))
-        return frame(width, (width.plot, tall), "Share of errors of pose under which each place of the path stays clear", parts)
-
-    return in_all_widths(draw)
 
 
 def _point(source: Source, key: str) -> Phrase:

@@ -28,6 +28,7 @@ from reports.slices import LEVELS, REACH_MM, ReducedVolume, Window, reduce_volum
 from reports.still import Label, View, choose_view, still_picture
 from reports.svg import LEFT, RIGHT, WIDTHS
 from reports.tables import KINDS, FeatureRow, MeasureRow, feature_rows, measures
+from reports.tolerance import PoseErrors, pose_errors
 from reports.walk import Walk, film_data, walk_of
 from reports.wall import RIM_PLACES, RIM_STEP_MM, LightMesh, light_mesh, packed
 from reports.words import Verdict, verdict, worst_place
@@ -67,6 +68,7 @@ class Page:
     places: tuple[Place, ...]
     walk: Walk | None
     relief: Relief | None
+    pose_errors: PoseErrors | None
     measures: tuple[MeasureRow, ...]
     steps: Mapping[str, Markup]
     steps_line: str
@@ -140,6 +142,7 @@ def make_page(review: Review) -> Page:
         places=critical_places(course, source, volume, window) if course is not None else (),
         walk=walk_of(source, review.film),
         relief=relief(source),
+        pose_errors=pose_errors(source),
         measures=measures(source, first),
         steps=workspace.steps(source),
         steps_line=_steps_line(source),

@@ -16,8 +16,17 @@ from segmentation.errors import CaseError
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import PathProfile
 
-# Root mean square shift, mm, and turn, degrees, of the presets.
-PRESETS: tuple[tuple[float, float], ...] = tuple((float(size), float(size)) for size in range(1, 6))
+# The word that asks for all presets, in place of one size.
+PRESETS = "presets"
+# Root mean square shift, mm, and turn, degrees, of the presets: together, the shift alone, the turn alone.
+SIZES = (1.0, 2.0, 3.0, 4.0, 5.0)
+PRESET_SIZES: tuple[tuple[float, float], ...] = (
+    *((size, size) for size in SIZES),
+    *((size, 0.0) for size in SIZES),
+    *((0.0, size) for size in SIZES),
+)
+# Of each preset: a share is known to 0.035 or better, one standard error.
+PRESET_SAMPLES = 200
 # Two-sided 95 % quantile of the normal distribution.
 CONFIDENCE = 1.959963984540054
 SPACING = 1.0
@@ -163,6 +172,29 @@ def path_tolerance(
         clear=share,
         weakest=float(profile.arc_length[places][least[int(np.argmin(clearance[least]))]]),
         first=first,
+    )
+
+
+def preset_tolerances(profile: PathProfile, wall: WallDistance, clearance_min: float, *, seed: int) -> tuple[Tolerance, ...]:
+    """`path_tolerance` for every one of `PRESET_SIZES`, all with the same perturbations but for their size.
+
+    Parameters
+    ----------
+    profile : PathProfile
+    wall : WallDistance
+    clearance_min : float, mm
+    seed : int
+        Of the perturbations.
+    """
+    return tuple(
+        path_tolerance(
+            profile,
+            wall,
+            clearance_min,
+            ToleranceSettings(translation=translation, rotation=rotation, samples=PRESET_SAMPLES),
+            rng=np.random.default_rng(seed),
+        )
+        for translation, rotation in PRESET_SIZES
     )
 
 

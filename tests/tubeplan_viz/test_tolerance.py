@@ -13,7 +13,16 @@ from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.plan import PathProfile
 from tubeplan_viz.profile import measure_path
-from tubeplan_viz.tolerance import Tolerance, ToleranceSettings, path_tolerance, wilson
+from tubeplan_viz.tolerance import (
+    PRESET_SIZES,
+    PRESETS,
+    SIZES,
+    Tolerance,
+    ToleranceSettings,
+    path_tolerance,
+    preset_tolerances,
+    wilson,
+)
 
 RADIUS, LIMIT = 3.0, 1.0  # mm
 
@@ -81,6 +90,32 @@ def test_a_pivot_at_the_goal_leaves_the_goal_clear(straight: Any) -> None:
     assert found.weakest < 1.0
 
 
+def test_presets_are_one_to_five_mm_and_degrees_together_and_each_alone(straight: Any) -> None:
+    profile, wall = straight
+    found = preset_tolerances(profile, wall, LIMIT, seed=4)
+    assert [(one.translation, one.rotation) for one in found] == list(PRESET_SIZES)
+    assert {size for size, _ in PRESET_SIZES} == {0.0, *SIZES} == {0.0, 1.0, 2.0, 3.0, 4.0, 5.0}
+    both, shift, turn = (found[k * len(SIZES) : (k + 1) * len(SIZES)] for k in range(3))
+    for series in (both, shift, turn):
+        chances = [one.probability for one in series]
+        assert chances == sorted(chances, reverse=True)
+    # Shifts across the axis are Rayleigh distances of variance size^2 / 3 (four standard errors and 0.01 for the mesh).
+    for one in shift:
+        expected = 1.0 - np.exp(-((RADIUS - LIMIT) ** 2) / (2.0 * one.translation**2 / 3.0))
+        assert one.probability == pytest.approx(expected, abs=4.0 * np.sqrt(expected * (1 - expected) / one.samples) + 0.01)
+    # 5 degrees about a pivot 10 mm away move an end by 0.9 mm root mean square: 2 mm are four standard deviations.
+    assert turn[-1].probability > 0.98
+    # The same draws: a preset is what its size gives by itself.
+    alone = path_tolerance(
+        profile,
+        wall,
+        LIMIT,
+        ToleranceSettings(translation=3.0, rotation=3.0, samples=both[2].samples),
+        rng=np.random.default_rng(4),
+    )
+    assert np.array_equal(alone.clear, both[2].clear)
+
+
 def test_the_same_seed_gives_the_same_numbers_and_the_interval_holds_the_share(straight: Any) -> None:
     one, same, other = (drawn(straight, seed=seed, translation=2.0, rotation=2.0, samples=200) for seed in (7, 7, 8))
     assert one.details()["probability"] == same.details()["probability"]
@@ -122,6 +157,7 @@ def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: st
 
 def test_the_case_reads_the_error_as_text_or_list_and_refuses_others() -> None:
     table = {"input": {"mesh": "tube.stl"}}
+    assert make_case({**table, "planner": {"tolerance": " Presets"}}).planner.tolerance == PRESETS
     for value in ("2,3", [2.0, 3.0]):
         assert make_case({**table, "planner": {"tolerance": value}}).planner.tolerance == (2.0, 3.0)
     for value, message in (

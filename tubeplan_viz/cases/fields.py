@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
+from tubeplan_viz.tolerance import PRESETS
 
 Place = tuple[float, float, float] | str
 
@@ -83,10 +84,12 @@ def point(value: Any, where: str) -> tuple[float, float, float]:
     return (x, y, z)
 
 
-def error_of_pose(value: Any, where: str) -> tuple[float, float]:
-    """Shift in mm and turn in degrees, from a list or from text ``MM,DEG``."""
-    wanted = "a shift in mm and a turn in degrees, e.g. 2,2"
+def error_of_pose(value: Any, where: str) -> tuple[float, float] | str:
+    """Shift in mm and turn in degrees, from a list or from text ``MM,DEG``; or the word for all presets."""
+    wanted = f"a shift in mm and a turn in degrees, e.g. 2,2, or {PRESETS}"
     if isinstance(value, str):
+        if value.strip().lower() == PRESETS:
+            return PRESETS
         try:
             value = [float(v) for v in value.split(",")]
         except ValueError:

@@ -46,7 +46,7 @@ class PlannerCase:
     goal: Place | None = None
     rng_seed: int = 0
     time_budget: float | None = None
-    tolerance: tuple[float, float] | None = None
+    tolerance: tuple[float, float] | str | None = None
     closed_ends: bool = False
 
     def __post_init__(self) -> None:
@@ -54,7 +54,7 @@ class PlannerCase:
             raise CaseError(f"there is no planner {self.name!r} yet, expected {' or '.join(PLANNERS)}")
         if self.time_budget is not None and not self.time_budget > 0:
             raise CaseError(f"time_budget is {self.time_budget:g} s, expected more than 0")
-        if self.tolerance is not None:
+        if isinstance(self.tolerance, tuple):
             ToleranceSettings(translation=self.tolerance[0], rotation=self.tolerance[1])
 
 

@@ -65,7 +65,7 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
         "planner",
         "tolerance",
         str,
-        typer.Option("--tolerance", help="MM,DEG: chance that the path stays clear under such an error of pose, e.g. 2,2."),
+        typer.Option("--tolerance", help="MM,DEG or presets: chance that the path stays clear under such an error of pose, e.g. 2,2."),
     ),
     "objective": (
         "tube",

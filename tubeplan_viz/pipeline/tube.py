@@ -21,7 +21,7 @@ from tubeplan_viz.pipeline.walk import film_of, walk_details
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.recording import Recording
 from tubeplan_viz.result import Provenance, Review, RunFolder, build_result, path_csv, slicer_markups
-from tubeplan_viz.tolerance import ToleranceSettings, path_tolerance
+from tubeplan_viz.tolerance import ToleranceSettings, path_tolerance, preset_tolerances
 from tubeplan_viz.tube import TubeProblem, conclude, tube_steps
 
 
@@ -147,17 +147,13 @@ def case_name(case: Case) -> str:
 
 
 def tolerance_details(case: Case, problem: TubeProblem, plan: Plan) -> dict[str, Any]:
-    """How the path bears the error of pose that the case names."""
-    assert case.planner.tolerance is not None
-    translation, rotation = case.planner.tolerance
-    found = path_tolerance(
-        plan.profile,
-        problem.wall,
-        case.limits.clearance_min,
-        ToleranceSettings(translation=translation, rotation=rotation),
-        rng=np.random.default_rng(case.planner.rng_seed),
-    )
-    return found.details()
+    """How the path bears the error of pose that the case names, or each of the presets."""
+    least, seed = case.limits.clearance_min, case.planner.rng_seed
+    asked = case.planner.tolerance
+    if not isinstance(asked, tuple):
+        return {"presets": [found.details() for found in preset_tolerances(plan.profile, problem.wall, least, seed=seed)]}
+    settings = ToleranceSettings(translation=asked[0], rotation=asked[1])
+    return path_tolerance(plan.profile, problem.wall, least, settings, rng=np.random.default_rng(seed)).details()
 
 
 def case_details(case: Case, lumen: Lumen, tree: Tree, surface: Surface, warnings: list[str]) -> dict[str, Any]:
