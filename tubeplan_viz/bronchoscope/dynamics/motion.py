@@ -20,6 +20,9 @@ TRACK_SPACING = 0.5
 # A lifted plane is this far past the ball that it meets, and stays lifted while the ball is no further away, mm.
 LIFT = 1e-3
 HOLD = 0.03
+# The wall is asked every so many steps; the tip swings by 0.3 mm meanwhile at most.
+RENEWAL_STEPS = 3
+NONE = np.zeros(0, dtype=np.int64)
 # The last millimetre before the entrance: from 10^4 times its stiffness a hinge gives way to its own.
 SHEATH = 4.0
 
@@ -70,6 +73,7 @@ class Motion:
         self._sheath()
         self._mujoco.mj_kinematics(self.model.model, self.data)
         self._centers = np.array(self.data.geom_xpos[self.model.balls])
+        self.steps = 0
         self._touch(self._centers)
         self.track = [self.tip_place()]
 
@@ -194,17 +198,19 @@ class Motion:
         depth = np.clip(self.model.hinge_places - self.inserted, 0.0, 1.0)
         self.model.model.jnt_stiffness[self.model.passive_joints] = self.model.passive_stiffness * 10.0 ** (SHEATH * depth)
 
-    def _touch(self, centers: FloatArray) -> None:
+    def _touch(self, centers: FloatArray, *, fresh: bool = False) -> None:
         """Lay the wall's planes where the balls are now.
 
         MuJoCo resists once a ball is past its plane; one that comes at 50 mm/s would be 0.1 mm past it by then. The
         plane of a ball that would pass it in the next step is therefore lifted to meet it, and the step takes its speed.
         """
         model, planes = self.model, self._planes
-        inside = model.ball_places < self.inserted + self._chain.robot.active_length
-        renewed = planes.renew(centers, inside)
-        if renewed.any():
-            rows = np.flatnonzero(renewed)
+        if fresh or self.steps % RENEWAL_STEPS == 0:
+            inside = model.ball_places < self.inserted + self._chain.robot.active_length
+            rows = np.flatnonzero(planes.renew(centers, inside))
+        else:
+            rows = NONE
+        if len(rows):
             used = planes.used[rows, :, None]
             self._points[rows] = np.where(used, planes.points[rows], [0.0, 0.0, FAR])
             x, y, z = np.moveaxis(np.where(used, planes.normals[rows], [0.0, 0.0, 1.0]), -1, 0)
@@ -252,4 +258,4 @@ class Motion:
         self.data.time = before.time
         self._mujoco.mj_kinematics(self.model.model, self.data)
         self._centers = np.array(self.data.geom_xpos[self.model.balls])
-        self._touch(self._centers)
+        self._touch(self._centers, fresh=True)

@@ -21,7 +21,7 @@ SIDES = 3
 # then errs by 0.2^2 / 2 / (R - r), 0.03 mm where 0.7 mm of play are left.
 RENEWAL = 0.2
 # Planes are laid for wall nearer to the ball than this, mm; the way between renewals and the motion of a step are less.
-RANGE = 0.6
+RANGE = 0.45
 # Wall within 50 degrees (cosine) of a plane's direction needs no plane of its own.
 SAME_SIDE = 0.64
 # Edge of the cells that hold one sample of the wall each, mm: a ball of 1.75 mm sinks 0.02 mm between samples.
