@@ -94,8 +94,6 @@ def _lead(source: Source) -> Phrase:
 
 
 def _keys(source: Source) -> tuple[Key, ...]:
-    steps = source.result["details"]["steps"]
-    tree = source.result["details"]["tree"]
     robot = source.need("details.robot.diameter_mm", 1, "mm")
     lengths = phrase(
         source.need("details.robot.proximal_length_mm", 0, "mm"), " + ", source.need("details.robot.distal_length_mm", 0, "mm")
@@ -112,12 +110,21 @@ def _keys(source: Source) -> tuple[Key, ...]:
             phrase(source.need("metrics.body_clearance_min_mm", PLACES, "mm")),
             phrase("least distance of the robot's surface to the wall; below 0 it leans on it"),
         ),
-        Key("Commands", phrase(f"{len(steps) - 1}"), phrase(f"{tree['samples']} samples, {tree['poses']} poses in the tree")),
+        Key(
+            "Track of the tip",
+            phrase(source.need("metrics.length_mm", 1, "mm")),
+            phrase(
+                "clearance ",
+                source.need("metrics.clearance_min_mm", PLACES, "mm"),
+                " or more, ",
+                source.need("limits.clearance_min_mm", PLACES, "mm"),
+                " asked; curvature up to ",
+                source.need("metrics.curvature_max_per_mm", 3, "1/mm"),
+                " of ",
+                source.need("limits.curvature_max_per_mm", 3, "1/mm"),
+            ),
+        ),
     ]
-    length = source.figure("metrics.length_mm", 1, "mm")
-    if length is not None:
-        least = source.need("metrics.clearance_min_mm", PLACES, "mm")
-        made.append(Key("Track", phrase(length), phrase("least clearance of its line ", least)))
     return tuple(made)
 
 
@@ -131,11 +138,14 @@ def _still(result: Mapping[str, Any], surface: Surface) -> Markup:
     labels += [
         Label(np.asarray(stage["goal_mm"], float), stage["name"].removeprefix("along "), "start", 2 + k)
         for k, stage in enumerate(details["stages"][:-1])
+        if stage["name"].startswith("along ")
     ]
     if details["target"]["lesion_mm"] is not None:
         labels.append(Label(np.asarray(details["target"]["lesion_mm"], float), "Lesion", "curvature", 1))
     mesh = light_mesh(surface)
-    view = choose_view(np.vstack([path, surface.vertices[:: max(1, len(surface.vertices) // 500)]]), str(result["frame"]))
+    # On a mesh the first point is drawn at the bottom: the far end, so that the trachea is at the top.
+    spread = surface.vertices[:: max(1, len(surface.vertices) // 500)]
+    view = choose_view(np.vstack([path[-1], spread, path[0]]), str(result["frame"]))
     words = "The wall of the airway with the track of the robot's tip and the sub-goals of its stages."
     return still_picture(mesh, path, (), tuple(labels), view, words)
 
@@ -181,7 +191,11 @@ def _stages(source: Source) -> Table:
     names = (("samples", 0), ("pushes", 0), ("collided", 0), ("sphere_radius_mm", 2), ("seconds", 2))
     stages = source.result["details"]["stages"]
     rows = tuple((phrase(stage["name"]), *_cells(source, f"details.stages.{k}", *names)) for k, stage in enumerate(stages))
-    line = "Each stage draws samples in the sphere about its sub-goal; the first one is the sub-goal itself."
+    tree, steps = source.result["details"]["tree"], source.result["details"]["steps"]
+    line = (
+        "Each stage draws samples in the sphere about its sub-goal; the first one is the sub-goal itself. "
+        f"{len(steps) - 1} commands, {tree['samples']} samples and {tree['poses']} poses in all."
+    )
     head = ("Stage", "Samples", "Pushes", "Collided", "Sphere, mm", "Time, s")
     return Table("stages", "Stages", line, head, rows)
 

@@ -78,7 +78,7 @@ def rim_points(robot: Robot, tip: FloatArray) -> FloatArray:
 class KinematicMover:
     """Moves the robot by kinematics alone; the bends change evenly along the push.
 
-    Clearances of its steps are exact where they are small and lower bounds of `FAR` mm and more elsewhere.
+    Clearances of its steps are exact where they are small and lower bounds from `far` on.
 
     Parameters
     ----------
@@ -86,10 +86,12 @@ class KinematicMover:
     robot : Robot
     entrance : (4, 4) float array
         Pose in the middle of the trachea's upper end, third column into the lumen.
+    far : float, mm
+        Clearances from here on are lower bounds.
     """
 
-    def __init__(self, wall: WallDistance, robot: Robot, entrance: FloatArray) -> None:
-        self._wall, self._robot, self._entrance = wall, robot, entrance
+    def __init__(self, wall: WallDistance, robot: Robot, entrance: FloatArray, *, far: float = FAR) -> None:
+        self._wall, self._robot, self._entrance, self._far = wall, robot, entrance, far
 
     def start(self) -> Step:
         """The robot straight, its proximal section's base at the entrance."""
@@ -174,15 +176,15 @@ class KinematicMover:
             tip=tip,
             track=track,
             body=np.concatenate([trail, active]),
-            disc_clearance=least_clearance(self._wall, rims),
-            body_clearance=least_clearance(self._wall, np.concatenate(bodies)) - self._robot.radius,
+            disc_clearance=least_clearance(self._wall, rims, self._far),
+            body_clearance=least_clearance(self._wall, np.concatenate(bodies), self._far) - self._robot.radius,
             contacts=NO_CONTACT,
             forces=NO_FORCE,
         )
 
 
-def least_clearance(wall: WallDistance, points: FloatArray) -> float:
-    """Least signed distance to the wall of a cloud of points, mm: exact below `FAR`, else a lower bound not below it.
+def least_clearance(wall: WallDistance, points: FloatArray, far: float = FAR) -> float:
+    """Least signed distance to the wall of a cloud of points, mm: exact below `far`, else a lower bound not below it.
 
     The distance falls by no more than the way walked inside a ball that holds no surface, so a few measured points
     bound the others from below, and only those that could be the least are measured too.
@@ -199,9 +201,9 @@ def least_clearance(wall: WallDistance, points: FloatArray) -> float:
         away = np.sqrt(np.square(points[:, None] - points[new]).sum(axis=2))
         lower = np.maximum(lower, np.where(away < free, clearance - away, -np.inf).max(axis=1))
         lower[new] = clearance
-        able = np.flatnonzero(~measured & (lower < min(least, FAR)))
+        able = np.flatnonzero(~measured & (lower < min(least, far)))
         new = able[np.argsort(lower[able], kind="stable")][: max(NEXT_MEASURED, len(able) // 3)]
-    return min(least, float(lower.min())) if least > FAR else least
+    return min(least, float(lower.min())) if least > far else least
 
 
 def drawn_back(

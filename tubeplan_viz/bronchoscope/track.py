@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.interpolate import make_lsq_spline
+from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.bronchoscope.mover import Step
@@ -17,7 +18,7 @@ LAST_STEP = 1.5  # mm; the same about the end, where corrections on the spot are
 
 
 def tip_track(steps: Sequence[Step]) -> FloatArray:
-    """Places of the tip from the start to the end, (n, 3) mm, about 0.5 to 1 mm apart."""
+    """Some places of the tip from the start to the end, (n, 3) mm, about 0.5 to 1 mm apart."""
     every = np.concatenate([step.track for step in steps])
     kept = [every[0]]
     for place in every[1:-1]:
@@ -26,11 +27,12 @@ def tip_track(steps: Sequence[Step]) -> FloatArray:
     return np.array([*kept, every[-1]])
 
 
-def track_curve(track: FloatArray) -> tuple[SplineCurve, float]:
-    """A cubic C2 spline along a track and its greatest distance from the track's places, mm.
+def track_curve(steps: Sequence[Step]) -> tuple[SplineCurve, float]:
+    """A cubic C2 spline along the tip's track and its greatest distance from any place of that, mm.
 
-    Its ends are those of the track.
+    Its ends are those of the track. A track without way has no curve: `tip_track` must have four places or more.
     """
+    track = tip_track(steps)
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(track, axis=0), axis=1))])
     u = s / s[-1]
     pieces = max(min(int(s[-1] / KNOTS), len(track) // 3), 1)
@@ -42,4 +44,5 @@ def track_curve(track: FloatArray) -> tuple[SplineCurve, float]:
     control = np.array(spline.c)
     control[0], control[-1] = track[0], track[-1]
     curve = SplineCurve(degree=3, knots=knots, control_points=control)
-    return curve, float(np.linalg.norm(curve(u) - track, axis=1).max())
+    dense = curve(curve.uniform_parameters(0.05))
+    return curve, float(cKDTree(dense).query(np.concatenate([step.track for step in steps]))[0].max())

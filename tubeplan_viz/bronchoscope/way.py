@@ -94,7 +94,8 @@ def plan_way(
     )
     route = airway.route_to(target.branch)
     if simulator is None:
-        return Way(plan=first, centerline=line, guide=guide, route=route)
+        exact = replayed(KinematicMover(airway.wall, robot, entrance.pose, far=np.inf), first)
+        return Way(plan=exact, centerline=line, guide=guide, route=route)
     if first.reached:
         guide = guide_of(first, airway, target.point)
     plan = plan_segmented(
@@ -108,6 +109,15 @@ def plan_way(
         watch=watch,
     )
     return Way(plan=plan, centerline=line, guide=guide, route=route, foreplan=first)
+
+
+def replayed(mover: Mover, plan: RobotPlan) -> RobotPlan:
+    """The same plan with its steps moved anew, by a mover that measures every clearance."""
+    steps = [mover.start()]
+    for step in plan.steps[1:]:
+        assert step.command is not None
+        steps.append(mover.move(steps[-1], step.command))
+    return replace(plan, steps=tuple(steps))
 
 
 def stages_on(airway: AirwayTree, entrance: Entrance, target: Target, guide: Guide, robot: Robot) -> tuple[Stage, ...]:

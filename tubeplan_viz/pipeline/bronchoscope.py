@@ -137,8 +137,8 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
         folder.write_json("path.mrk.json", slicer_markups(result))
         if options.report:
             with watch.stage("report"):
-                write_page(render_bronchoscope(case_name(case), document(), written), folder.path("report.html"))
-        return folder.finish(document())
+                write_page(render_bronchoscope(case_name(case), result, written), folder.path("report.html"))
+        return folder.finish(result)
 
 
 def case_name(case: BronchoscopeCase) -> str:
@@ -195,10 +195,9 @@ def path_plan(case: BronchoscopeCase, given: Airway, goal: Target, way: Way) -> 
     """The tip's track measured and proved, and how the plan ended."""
     wall, limits = given.tree.wall, Limits(curvature_max=case.curvature_max, clearance_min=case.clearance_min)
     plan = way.plan
-    track = tip_track(plan.steps)
-    if len(track) < 4:
+    if len(tip_track(plan.steps)) < 4:
         raise NoPathError(f"{plan.reason}; check the airway at its entrance")
-    curve, off = track_curve(track)
+    curve, off = track_curve(plan.steps)
     fine = measure_closely(curve, wall, limits)
     flagged = with_peaks(flag_stretches(fine, limits), curve, wall)
     certificate = certify(curve, wall, limits)

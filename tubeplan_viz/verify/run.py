@@ -12,6 +12,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.result import ResultError, RunFolderError, validate_result
+from tubeplan_viz.verify.bronchoscope import check_bronchoscope
 from tubeplan_viz.verify.claims import (
     check_features_and_centerline,
     check_metrics,
@@ -29,7 +30,7 @@ from tubeplan_viz.verify.spline import BezierPath
 from tubeplan_viz.verify.verification import Check, Verification
 from tubeplan_viz.verify.wall import Lumen, Triangles
 
-SPLINE_PLANNERS = ("tube",)
+SPLINE_PLANNERS = ("tube", "bronchoscope")
 NEEDLE_PLANNERS = ("needle2d", "needle3d")
 LONGEST_MM = 5000.0
 Content = TypeVar("Content")
@@ -135,7 +136,8 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
     page = None
     if _written("report.html", folder, result):
         page = yield from _opened("report.html", folder, lambda text: text)
-    yield from check_ends(result, case)
+    if result["planner"]["name"] == "tube":
+        yield from check_ends(result, case)
     yield from check_limits(result, case)
     path = _path_of(result)
     try:
@@ -150,6 +152,8 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
         length = float(np.linalg.norm(np.diff(path.pieces, axis=1), axis=2).sum())
         if length <= LONGEST_MM:
             yield from _measured_checks(result, path, mesh, table)
+            if result["planner"]["name"] == "bronchoscope":
+                yield from check_bronchoscope(folder, result, _lumen(result, mesh))
         else:
             yield Check(
                 name="path: measured",
