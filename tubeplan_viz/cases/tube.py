@@ -24,6 +24,7 @@ from tubeplan_viz.cases.fields import (
     whole,
 )
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
+from tubeplan_viz.cases.measures import MeasureCase, measure_case, measure_table
 from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tolerance import ToleranceSettings
@@ -69,6 +70,7 @@ class Case:
     refine: RefineSettings = field(default_factory=RefineSettings)
     optimal: OptimalSettings = field(default_factory=OptimalSettings)
     centerline: CenterlineSettings = field(default_factory=CenterlineSettings)
+    measures: MeasureCase = field(default_factory=MeasureCase)
 
     @property
     def tube_settings(self) -> TubeSettings:
@@ -115,7 +117,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     Parameters
     ----------
     table : mapping
-        Tables ``input``, ``limits``, ``planner``, ``tube``.
+        Tables ``input``, ``limits``, ``planner``, ``tube``, ``measures``.
     folder : Path, optional
         Where relative paths start from.
     name : str
@@ -126,7 +128,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     CaseError
         Naming the file, the table and the key.
     """
-    check_keys(table, ("input", "limits", "planner", "tube"), name, "table")
+    check_keys(table, ("input", "limits", "planner", "tube", "measures"), name, "table")
     planner = subtable(table, "planner", name)
     check_keys(planner, [f.name for f in fields(PlannerCase)], f"{name} [planner]", "key")
     for key in ("start", "goal"):
@@ -162,6 +164,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         refine=RefineSettings(**parts["refine"]),
         optimal=OptimalSettings(**parts["optimal"]),
         centerline=CenterlineSettings(**parts["centerline"]),
+        measures=measure_case(table, folder=folder, name=name),
     )
 
 
@@ -198,6 +201,7 @@ def case_table(case: Case, *, folder: Path | None = None) -> dict[str, Any]:
         "limits": {"curvature_max": case.limits.curvature_max, "clearance_min": case.limits.clearance_min},
         "planner": planner,
         "tube": tube,
+        "measures": measure_table(case.measures, folder=folder),
     }
     return {name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()}
 

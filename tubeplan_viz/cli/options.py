@@ -65,7 +65,9 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
         "planner",
         "tolerance",
         str,
-        typer.Option("--tolerance", help="MM,DEG or presets: chance that the path stays clear under such an error of pose, e.g. 2,2."),
+        typer.Option(
+            "--tolerance", help="MM,DEG or presets: chance that the path stays clear under such an error of pose, e.g. 2,2."
+        ),
     ),
     "objective": (
         "tube",
@@ -80,6 +82,24 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
         typer.Option("--scans", help="Feature scans, comma-separated: nodes,extrema,segments,inflections,dense."),
     ),
     "max_rounds": ("tube", "max_rounds", int, typer.Option("--max-rounds", help="Rounds of the feature iteration at most.")),
+    "stone": (
+        "measures",
+        "stones",
+        str,
+        typer.Option("--stone", help="X,Y,Z in mm (LPS) in a stone, several with ; between: volume, HU, scores."),
+    ),
+    "stone_mask": (
+        "measures",
+        "stone_masks",
+        str,
+        typer.Option("--stone-mask", help="Label volume of a stone on the CT's grid."),
+    ),
+    "structure": (
+        "measures",
+        "structures",
+        str,
+        typer.Option("--structure", help="NAME=FILE, label volume: distance of the path to it; several with commas between."),
+    ),
     "centerline_step": (
         "tube",
         "centerline_step_mm",

@@ -14,6 +14,7 @@ from segmentation.mesh_files import write_ply
 from tubeplan_viz.cases.tube import Case, case_table, case_text
 from tubeplan_viz.endoluminal import Film
 from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
+from tubeplan_viz.pipeline.measures import measure_run
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Stopwatch
 from tubeplan_viz.pipeline.tree import Tree, branches_from, endpoint_details, pose_case
@@ -75,8 +76,24 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                 plan = conclude(problem, steps)
             # mesh.ply holds wall faces first and then the caps; result.json counts on that order.
             written = write_ply(problem.surface, folder.path("mesh.ply"))
-            provenance = Provenance(inputs=lumen.inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
             details = case_details(case, lumen, tree, written, warnings)
+            with watch.stage("measures"):
+                measured = measure_run(
+                    case.measures,
+                    anatomy=case.input.anatomy,
+                    tree=tree,
+                    volume=lumen.volume,
+                    path={
+                        "s_mm": plan.profile.arc_length,
+                        "points_mm": plan.profile.points,
+                        "curvature_per_mm": plan.profile.curvature,
+                    },
+                    curvature_max=plan.metrics["curvature_max_per_mm"],
+                    settings=case.centerline,
+                )
+            details["measures"] = measured.details
+            inputs = (*lumen.inputs, *measured.inputs)
+            provenance = Provenance(inputs=inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
             with watch.stage("walk"):
                 branches = branches_from(tree, problem.start, problem.goal, settings=case.centerline)
                 details["walk"] = walk_details(plan.profile, branches, problem.surface.frame)

@@ -1,0 +1,345 @@
+"""Measures of a collecting system: infundibulopelvic angle, infundibular length and width, diameters."""
+
+# Strategy: the centre of the pelvis is where the largest ball that fits into the lumen can lie. The way
+# from the ureter to each calyx leaves this ball at the lip of the pelvis; ways that leave it on the
+# same branch share an infundibulum, which goes on to where they part. Everything else is a length,
+# a direction or a cross-section along these ways.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from segmentation.arrays import FloatArray
+from segmentation.errors import CaseError
+from segmentation.mesh import Surface
+from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
+from tubeplan_viz.measures.lines import Lumen, angle_between, fitted_direction, place
+from tubeplan_viz.measures.measure import Drawing, Measure, lacking
+
+AXIS_LEAST_MM = 8.0  # a shorter stretch of middle line gives no sure direction
+JUNCTION_SEARCH_MM = 15.0
+PLATEAU, GRID_MM = 0.85, 0.5
+PROBE_MM = 1.0
+URETER_SKIP_MM = 2.0  # beside the ureter's cut end a cross-section may meet the cap
+CORONAL = np.array([1.0, 0.0, 1.0])  # seen from the front: left and up remain
+
+
+@dataclass(frozen=True, kw_only=True)
+class UrinarySettings:
+    """What the lumen does not show.
+
+    Attributes
+    ----------
+    ureter_level : float, mm
+        Distance from the centre of the pelvis to the place of the ureter that stands for the level
+        of the kidney's lower pole. An adult kidney is about 110 mm long [1]_; the default is our
+        choice within the half of that, so that a zoomed scan still shows the place.
+
+    References
+    ----------
+    .. [1] Emamian, S. A. et al. (1993). Kidney dimensions at sonography. AJR 160(1), 83-86.
+    """
+
+    ureter_level: float = 40.0
+
+    def __post_init__(self) -> None:
+        if not 10.0 <= self.ureter_level <= 150.0:
+            raise CaseError(f"ureter_level_mm is {self.ureter_level:g}, expected 10 to 150")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Infundibulum:
+    """The way from the pelvis to one or more calyces.
+
+    Attributes
+    ----------
+    name : str
+        "upper", "middle" or "lower" with a number where there are several; "1", "2", ... in the axes of a mesh.
+    targets : tuple of int
+        Of the tree, one for each calyx.
+    lip : float, mm
+        Arc length on the ways at which they leave the pelvis.
+    end : float, mm
+        Arc length at which the ways part; at the widest place of the calyx where there is but one.
+    """
+
+    name: str
+    targets: tuple[int, ...]
+    lip: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class UrinaryMeasures:
+    """All measures of a collecting system, and what scores and drawings take from it."""
+
+    measures: tuple[Measure, ...]
+    infundibula: tuple[Infundibulum, ...]
+    drawing: Drawing
+
+
+def ureter_root(tree: CenterlineTree, labels: tuple[str, ...], root: str) -> str:
+    """Label of the tip at the ureter's end: that of the longest branch without side branches."""
+    if not tree.branches:
+        return root
+    ends = {root: tree.branches[0].length}
+    for target, number in enumerate(tree.last_branch.tolist()):
+        if number > 0:
+            ends[labels[target]] = tree.branches[number].length
+    return max(ends, key=lambda label: ends[label])
+
+
+def urinary_measures(lumen: Lumen, settings: UrinarySettings) -> UrinaryMeasures:
+    """Measure a collecting system whose tree begins at the ureter's end."""
+    lines = [lumen.tree.path(target) for target in range(len(lumen.labels))]
+    ways = {target: line for target, line in enumerate(lines) if line is not None}
+    widest = max(ways, key=lambda target: float(ways[target].radii.max()))
+    at = int(ways[widest].radii.argmax())
+    center, radius = pelvis_ball(lumen, ways[widest].points[at], float(ways[widest].radii[at]))
+    trunk = Centerline(ways[widest].points[: at + 1], ways[widest].radii[: at + 1]) if at > 0 else None
+    measures = [Measure(key="pelvis_diameter_mm", value=2.0 * radius)]
+    measures += ureter_measures(lumen, trunk, radius)
+    level = ureter_place(trunk, center, settings.ureter_level)
+    infundibula = find_infundibula(lumen, ways, center, radius)
+    drawn_lines = {f"way to {lumen.labels[target]}": line.points for target, line in ways.items()}
+    drawn_points = {"pelvis": center}
+    if level is not None:
+        drawn_points["ureter level"] = level
+    lips = {target: place(ways[target], one.lip) for one in infundibula for target in one.targets}
+    bottoms = calyx_bottoms(lumen, lips)
+    for infundibulum in infundibula:
+        of = f"{infundibulum.name} infundibulum"
+        way = ways[longest_way(infundibulum, ways)]
+        axis, points = infundibular_axis(way, infundibulum)
+        middle = points.mean(axis=0)
+        reach = 0.5 * float(np.linalg.norm(points[-1] - points[0]))
+        drawn_lines[f"axis of {of}"] = np.array([middle - reach * axis, middle + reach * axis])
+        drawn_points[f"lip of {of}"] = place(way, infundibulum.lip)
+        measures += angle_measures(lumen.frame, center, level, axis, settings, of)
+        measures += width_measures(lumen, way, infundibulum, of)
+        for target in infundibulum.targets:
+            measures += calyx_measures(lumen, target, ways[target], infundibulum, bottoms)
+            if target in bottoms:
+                drawn_points[f"bottom of {lumen.labels[target]}"] = bottoms[target]
+    return UrinaryMeasures(
+        measures=tuple(measures), infundibula=infundibula, drawing=Drawing(lines=drawn_lines, points=drawn_points)
+    )
+
+
+def pelvis_ball(lumen: Lumen, near: FloatArray, radius: float) -> tuple[FloatArray, float]:
+    """Centre of the pelvis, (3,) mm, and radius of the largest ball in it, mm.
+
+    The largest ball has much the same size over some millimetres, so that its own centre is not
+    sure. The centre taken is the mean of all places whose ball has `PLATEAU` of its radius.
+
+    Parameters
+    ----------
+    near : (3,) float array, mm
+        Centre of a ball that is nearly the largest.
+    radius : float, mm
+        Its radius.
+    """
+    steps = np.arange(-radius, radius + 0.5 * GRID_MM, GRID_MM)
+    center, largest = near, radius
+    for _ in range(3):  # the box may have to follow
+        grid = center + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        clearance = lumen.wall.clearance(grid)
+        largest = float(clearance.max())
+        moved = grid[clearance >= PLATEAU * largest].mean(axis=0)
+        if np.linalg.norm(moved - center) < 0.5 * GRID_MM:
+            return moved, largest
+        center = moved
+    return center, largest
+
+
+def find_infundibula(lumen: Lumen, ways: dict[int, Centerline], center: FloatArray, radius: float) -> tuple[Infundibulum, ...]:
+    """Group the ways by the branch on which they leave the pelvis, and name the groups from above."""
+    groups: dict[int, list[int]] = {}
+    lips: dict[int, float] = {}
+    for target, line in ways.items():
+        inside = np.flatnonzero(np.linalg.norm(line.points - center, axis=1) <= radius)
+        if not len(inside) or inside[-1] == len(line.points) - 1:
+            continue  # leaves the ureter before the pelvis, or is a bulge of the pelvis
+        lips[target] = crossing(line, int(inside[-1]), center, radius)
+        groups.setdefault(branch_at(lumen.tree, target, lips[target]), []).append(target)
+    found = []
+    for number, targets in groups.items():
+        end = branch_end(lumen.tree, number)
+        if len(targets) == 1:
+            line = ways[targets[0]]
+            distal = line.arc_length >= 0.5 * (lips[targets[0]] + line.arc_length[-1])
+            end = float(line.arc_length[distal][line.radii[distal].argmax()])
+        tips = np.array([ways[target].points[-1] for target in targets])
+        found.append((float(tips[:, 2].mean()), tuple(targets), lips[targets[0]], end))
+    found.sort(key=lambda group: -group[0])
+    names = group_names(len(found)) if lumen.frame == "LPS" else [str(k + 1) for k in range(len(found))]
+    return tuple(
+        Infundibulum(name=name, targets=targets, lip=lip, end=max(end, lip))
+        for name, (_, targets, lip, end) in zip(names, found, strict=True)
+    )
+
+
+def group_names(count: int) -> list[str]:
+    """Names of infundibula from above; a single one has no other to be above of."""
+    if count < 2:
+        return ["only"][:count]
+    middle = ["middle"] if count == 3 else [f"middle {k + 1}" for k in range(count - 2)]
+    return ["upper", *middle, "lower"]
+
+
+def crossing(line: Centerline, index: int, center: FloatArray, radius: float) -> float:
+    """Arc length between vertices `index` and the next at which a line leaves a ball."""
+    near, far = (float(np.linalg.norm(line.points[k] - center)) for k in (index, index + 1))
+    share = (radius - near) / (far - near)
+    return float(line.arc_length[index] + share * (line.arc_length[index + 1] - line.arc_length[index]))
+
+
+def branches_to(tree: CenterlineTree, target: int) -> list[int]:
+    """Numbers of the branches from the root to a target."""
+    numbers = [int(tree.last_branch[target])]
+    while tree.branches[numbers[-1]].parent >= 0:
+        numbers.append(tree.branches[numbers[-1]].parent)
+    return numbers[::-1]
+
+
+def branch_at(tree: CenterlineTree, target: int, s: float) -> int:
+    """Number of the branch on the way to a target at an arc length."""
+    reached = 0.0
+    for number in branches_to(tree, target):
+        reached += tree.branches[number].length
+        if s < reached:
+            return number
+    return int(tree.last_branch[target])
+
+
+def branch_end(tree: CenterlineTree, number: int) -> float:
+    """Arc length from the root at which a branch ends."""
+    branch: Branch | None = tree.branches[number]
+    length = 0.0
+    while branch is not None:
+        length += branch.length
+        branch = tree.branches[branch.parent] if branch.parent >= 0 else None
+    return length
+
+
+def longest_way(infundibulum: Infundibulum, ways: dict[int, Centerline]) -> int:
+    """Target of the infundibulum that is farthest along its way."""
+    return max(infundibulum.targets, key=lambda target: float(ways[target].arc_length[-1]))
+
+
+def infundibular_axis(way: Centerline, infundibulum: Infundibulum) -> tuple[FloatArray, FloatArray]:
+    """Unit direction from the pelvis to the calyx, and the middle points that it was fitted to, (k, 3) mm."""
+    last = min(max(infundibulum.end, infundibulum.lip + AXIS_LEAST_MM), float(way.arc_length[-1]))
+    places = np.linspace(infundibulum.lip, last, 41)
+    points = np.array([place(way, s) for s in places])
+    return fitted_direction(points), points
+
+
+def ureter_place(trunk: Centerline | None, center: FloatArray, level: float) -> FloatArray | None:
+    """The ureter's centre at a distance from the centre of the pelvis, the nearest on the way down; None above its end."""
+    if trunk is None:
+        return None
+    away = np.linalg.norm(trunk.points - center, axis=1)
+    outside = np.flatnonzero(away >= level)
+    if not len(outside):
+        return None
+    k = int(outside[-1])
+    share = (level - away[k + 1]) / (away[k] - away[k + 1])
+    return np.asarray(trunk.points[k + 1] + share * (trunk.points[k] - trunk.points[k + 1]))
+
+
+def angle_measures(
+    frame: str, center: FloatArray, level: FloatArray | None, axis: FloatArray, settings: UrinarySettings, of: str
+) -> list[Measure]:
+    """The infundibulopelvic angle in space and seen from the front."""
+    keys = ("infundibulopelvic_angle_deg", "infundibulopelvic_angle_coronal_deg")
+    if level is None:
+        reason = f"the ureter in the image ends less than {settings.ureter_level:g} mm from the centre of the pelvis"
+        return lacking(reason, *keys, of=of)
+    down = level - center
+    made = [Measure(key=keys[0], of=of, value=angle_between(down, axis))]
+    if frame != "LPS":
+        return made + lacking("the axes of a mesh file do not say where the front is", keys[1], of=of)
+    return [*made, Measure(key=keys[1], of=of, value=angle_between(down * CORONAL, axis * CORONAL))]
+
+
+def width_measures(lumen: Lumen, way: Centerline, infundibulum: Infundibulum, of: str) -> list[Measure]:
+    """The infundibulum's narrowest cross-section."""
+    diameters = lumen.diameters(way, infundibulum.lip, infundibulum.end)
+    if not len(diameters):
+        return lacking("no cross-section of the infundibulum has a closed outline", "infundibular_width_mm", of=of)
+    return [Measure(key="infundibular_width_mm", of=of, value=float(diameters.min()))]
+
+
+def calyx_measures(
+    lumen: Lumen, target: int, way: Centerline, infundibulum: Infundibulum, farthest: dict[int, FloatArray]
+) -> list[Measure]:
+    """Infundibular length to one calyx, whose farthest point is known, and its diameter."""
+    of = f"calyx {lumen.labels[target]}, {infundibulum.name}"
+    whole = float(way.arc_length[-1])
+    if target in farthest:
+        length = float(np.linalg.norm(farthest[target] - place(way, infundibulum.lip)))
+        made = [Measure(key="infundibular_length_mm", of=of, value=length)]
+    else:
+        made = lacking(f"no ball of {2.0 * PROBE_MM:g} mm fits into the calyx", "infundibular_length_mm", of=of)
+    last = lumen.tree.branches[int(lumen.tree.last_branch[target])]
+    # The calyx is the far half of what lies beyond the last branching, or beyond the lip where there is none.
+    begin = whole - 0.5 * (last.length if len(infundibulum.targets) > 1 else whole - infundibulum.lip)
+    widths = lumen.widths(way, begin, whole)
+    if not len(widths):
+        return made + lacking("no cross-section of the calyx has a closed outline", "calyx_diameter_mm", of=of)
+    return [*made, Measure(key="calyx_diameter_mm", of=of, value=float(widths.max()))]
+
+
+def calyx_bottoms(lumen: Lumen, lips: dict[int, FloatArray]) -> dict[int, FloatArray]:
+    """For each calyx the point farthest from the lip of its infundibulum that a ball of `PROBE_MM` reaches, (3,) mm.
+
+    A calyx is the wall that lies nearer to the last branch of its way than to any other branch.
+    The rim around a papilla ends in an edge that no scanner resolves; the ball does not go into it.
+    """
+    branches = lumen.tree.branches
+    places = np.concatenate([branch.line.points for branch in branches])
+    owner = np.repeat(np.arange(len(branches)), [len(branch.line.points) for branch in branches])
+    surface = lumen.wall.surface
+    nearest = owner[cKDTree(places).query(surface.vertices)[1]]
+    inward = -vertex_normals(surface)
+    found = {}
+    for target, lip in lips.items():
+        own = nearest == int(lumen.tree.last_branch[target])
+        centers = surface.vertices[own] + PROBE_MM * inward[own]
+        fits = lumen.wall.clearance(centers) >= 0.99 * PROBE_MM
+        if not fits.any():
+            continue
+        heading = centers[fits] - lip
+        away = np.linalg.norm(heading, axis=1)
+        k = int(away.argmax())
+        found[target] = lip + heading[k] * (1.0 + PROBE_MM / away[k])
+    return found
+
+
+def vertex_normals(surface: Surface) -> FloatArray:
+    """Unit outward normals at the vertices, (n, 3): means of the faces' weighted by area."""
+    weighted = surface.face_normals * surface.face_areas[:, None]
+    total = np.zeros_like(surface.vertices)
+    for corner in range(3):
+        np.add.at(total, surface.faces[:, corner], weighted)
+    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
+
+
+def ureter_measures(lumen: Lumen, trunk: Centerline | None, radius: float) -> list[Measure]:
+    """Mean and least diameter from the ureter's end to the ureteropelvic junction."""
+    keys = ("ureter_diameter_mean_mm", "ureter_diameter_min_mm")
+    narrow = np.flatnonzero(trunk.radii <= 0.5 * radius) if trunk is not None else np.empty(0)
+    if trunk is None or not len(narrow):
+        return lacking("the image shows no ureter below the pelvis", *keys)
+    s = trunk.arc_length
+    # The junction is the narrowest place just before the lumen widens into the pelvis.
+    before = np.flatnonzero((s <= s[narrow[-1]]) & (s >= s[narrow[-1]] - JUNCTION_SEARCH_MM))
+    junction = float(s[before[trunk.radii[before].argmin()]])
+    diameters = lumen.diameters(trunk, URETER_SKIP_MM, junction)
+    if not len(diameters):
+        return lacking("no cross-section of the ureter has a closed outline", *keys)
+    return [Measure(key=keys[0], value=float(diameters.mean())), Measure(key=keys[1], value=float(diameters.min()))]

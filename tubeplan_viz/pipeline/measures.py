@@ -1,0 +1,192 @@
+"""The clinical measures of a run: what they need is read here, what they found goes into result.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from segmentation.arrays import FloatArray
+from segmentation.errors import CaseError, RegionError
+from segmentation.stone import Stone, grow_stone, masked_stone
+from segmentation.volume import Volume
+from segmentation.volume_files import read_volume_file
+from tubeplan_viz.cases.measures import MeasureCase
+from tubeplan_viz.centerline import CenterlineSettings, centerline_tree
+from tubeplan_viz.geometry.section import SurfaceSections
+from tubeplan_viz.measures import (
+    DEFINITIONS,
+    CtSections,
+    Drawing,
+    Lumen,
+    Measure,
+    PlainSections,
+    UrinaryMeasures,
+    UrinarySettings,
+    airway_measures,
+    lacking,
+    path_measures,
+    rirs,
+    russ,
+    stone_facts,
+    stone_measures,
+    structure_measures,
+    ureter_root,
+    urinary_measures,
+)
+from tubeplan_viz.pipeline.tree import Tree
+
+URINARY = ("infundibulopelvic_angle_deg", "infundibular_length_mm", "infundibular_width_mm", "ureter_diameter_mean_mm")
+AIRWAY = ("trachea_diameter_mm", "carinal_angle_deg", "branch_diameter_mm", "branch_angle_deg")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Measured:
+    """What the measures add to a run: `details` for result.json and the files that were read, as (name, sha256)."""
+
+    details: Mapping[str, Any]
+    inputs: tuple[tuple[str, str], ...]
+
+
+def measure_run(
+    case: MeasureCase,
+    *,
+    anatomy: str | None,
+    tree: Tree,
+    volume: Volume | None,
+    path: Mapping[str, FloatArray],
+    curvature_max: float,
+    settings: CenterlineSettings | None = None,
+) -> Measured:
+    """Measure a planned case.
+
+    Parameters
+    ----------
+    case : MeasureCase
+    anatomy : str or None
+        What the lumen is, which says what can be measured in it.
+    tree : Tree
+        The lumen with its end points.
+    volume : Volume or None
+        The CT, which stones are grown in.
+    path : mapping
+        ``s_mm``, ``points_mm`` and ``curvature_per_mm`` as result.json holds them.
+    curvature_max : float, 1/mm
+
+    Raises
+    ------
+    TubeplanError
+        If a mask cannot be read; a measure that cannot be computed is no error but has a reason.
+    """
+    s, points = np.asarray(path["s_mm"]), np.asarray(path["points_mm"])
+    measures = path_measures(s, points, np.asarray(path["curvature_per_mm"]), curvature_max)
+    lumen, urinary, drawing = None, None, None
+    if anatomy == "urinary":
+        lumen, urinary = measured_urinary(tree, case, volume, settings)
+        measures += lacking("the lumen has no branches", *URINARY) if urinary is None else urinary.measures
+        drawing = None if urinary is None else urinary.drawing
+    elif anatomy == "airway":
+        found, drawing = measured_airway(tree, volume, settings)
+        measures += lacking("the lumen has no branches", *AIRWAY) if drawing is None else found
+    inputs: list[tuple[str, str]] = []
+    stones = read_stones(case, volume, inputs)
+    for number, stone in enumerate(stones, start=1):
+        measures += stone_measures(number, stone)
+    for name, file in case.structures:
+        mask = read_volume_file(file)
+        inputs.extend(mask.inputs)
+        measures += structure_measures(name, Volume(mask.voxels, mask.index_to_lps), s, points)
+    scores = []
+    if anatomy == "urinary":
+        facts = stone_facts(stones, lumen, urinary, abnormal=case.abnormal_anatomy)
+        scores = [score(facts).details() for score in (russ, rirs)]
+    return Measured(details=details_of(measures, scores, drawing), inputs=tuple(inputs))
+
+
+def details_of(measures: list[Measure], scores: list[dict[str, Any]], drawing: Drawing | None) -> dict[str, Any]:
+    """``details.measures`` of result.json: every item with its definition."""
+    used = dict.fromkeys(measure.key for measure in measures)
+    return {
+        "definitions": {
+            key: {"name": DEFINITIONS[key].name, "text": DEFINITIONS[key].text, "source": DEFINITIONS[key].source} for key in used
+        },
+        "items": [measure.details() for measure in measures],
+        "scores": scores,
+        "drawing": None if drawing is None else drawing.details(),
+    }
+
+
+def measured_urinary(
+    tree: Tree, case: MeasureCase, volume: Volume | None, settings: CenterlineSettings | None
+) -> tuple[Lumen | None, UrinaryMeasures | None]:
+    """The collecting system measured from the ureter's end; None for a lumen with fewer than three tips."""
+    if len(tree.endpoints) < 3:
+        return None, None
+    first = lumen_from(tree, tree.endpoints[0].label, volume, settings)
+    root = ureter_root(first.tree, first.labels, tree.endpoints[0].label)
+    lumen = first if root == tree.endpoints[0].label else lumen_from(tree, root, volume, settings)
+    return lumen, urinary_measures(lumen, UrinarySettings(ureter_level=case.ureter_level_mm))
+
+
+def measured_airway(
+    tree: Tree, volume: Volume | None, settings: CenterlineSettings | None
+) -> tuple[tuple[Measure, ...], Drawing | None]:
+    """The airway measured from its first end point, the trachea's; no drawing for a lumen without a branching."""
+    if len(tree.endpoints) < 3:
+        return (), None
+    return airway_measures(lumen_from(tree, tree.endpoints[0].label, volume, settings))
+
+
+def lumen_from(tree: Tree, root: str, volume: Volume | None, settings: CenterlineSettings | None) -> Lumen:
+    """The branches from one end point to all others."""
+    others = [tip for tip in tree.endpoints if tip.label != root]
+    start = next(tip.point for tip in tree.endpoints if tip.label == root)
+    branches = centerline_tree(tree.graph, tree.wall, start, np.array([tip.point for tip in others]), settings)
+    sections = SurfaceSections(tree.surface)
+    return Lumen(
+        tree=branches,
+        labels=tuple(tip.label for tip in others),
+        wall=tree.wall,
+        sections=PlainSections(sections) if volume is None else CtSections(volume, sections),
+        frame=tree.surface.frame,
+    )
+
+
+def read_stones(case: MeasureCase, volume: Volume | None, inputs: list[tuple[str, str]]) -> list[Stone | str]:
+    """Stones of the case, each as found or as the reason why it was not."""
+    if volume is None:
+        return ["the case has no CT"] * (len(case.stones) + len(case.stone_masks))
+    found: list[Stone | str] = []
+    for point in case.stones:
+        try:
+            found.append(grow_stone(volume, point))
+        except RegionError as fault:
+            found.append(str(fault))
+    for file in case.stone_masks:
+        mask = read_volume_file(file)
+        inputs.extend(mask.inputs)
+        found.append(masked_stone(volume, on_grid(mask.voxels > 0, mask.index_to_lps, volume, file)))
+    return found
+
+
+def on_grid(mask: np.ndarray, index_to_lps: FloatArray, volume: Volume, file: Path) -> np.ndarray:
+    """A mask in the order of the CT's axes, where its voxels are those of the CT.
+
+    Raises
+    ------
+    CaseError
+        If it lies on another grid.
+    """
+    given = Volume(mask.astype(np.int16), index_to_lps)
+    corners = np.array([[0, 0, 0], np.array(mask.shape) - 1])
+    placed = volume.to_index(given.to_lps(corners))
+    if mask.shape != volume.voxels.shape or not np.allclose(np.sort(placed, axis=0), corners, atol=0.01):
+        raise CaseError(
+            f"{file.name}: the mask has {mask.shape} voxels and does not lie on the CT's grid of {volume.voxels.shape}; "
+            "draw it on this CT"
+        )
+    flipped = tuple(slice(None, None, -1) if placed[0, k] > placed[1, k] else slice(None) for k in range(3))
+    return mask[flipped]
