@@ -25,6 +25,7 @@ VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd")
 _MIN_SPACING, _MAX_SPACING = 0.05, 5.0
 _MAX_VOXELS = 1 << 30
 _PIXEL_TYPES = (sitk.sitkInt16, sitk.sitkUInt16, sitk.sitkInt32, sitk.sitkUInt32, sitk.sitkFloat32, sitk.sitkFloat64)
+_LABEL_TYPES = (sitk.sitkInt8, sitk.sitkUInt8)
 _FLOAT_CODES = {16: "f4", 64: "f8"}
 """NIfTI datatype codes of floating-point voxels."""
 _CHUNK = 1 << 22
@@ -51,7 +52,7 @@ class VolumeFile:
     inputs: tuple[tuple[str, str], ...]
 
 
-def read_volume_file(path: Path) -> VolumeFile:
+def read_volume_file(path: Path, *, labels: bool = False) -> VolumeFile:
     """Read a NIfTI or MetaImage file.
 
     Besides the result, the file's own voxels are in memory until they are converted.
@@ -60,12 +61,14 @@ def read_volume_file(path: Path) -> VolumeFile:
     ----------
     path : Path
         Its suffix is one of `VOLUME_SUFFIXES`.
+    labels : bool
+        Whether the file holds labels, for which 8 bits are enough.
 
     Raises
     ------
     VolumeError
         If the file is missing, cut or damaged, no single three-dimensional grey image of
-        at least 16 bits, or its geometry is missing, skewed or implausible.
+        at least 16 bits (8 for labels), or its geometry is missing, skewed or implausible.
     """
     if not path.is_file():
         raise VolumeError(f"{path.name}: there is no such file; check the path")
@@ -78,7 +81,7 @@ def read_volume_file(path: Path) -> VolumeFile:
         reader.ReadImageInformation()
     except RuntimeError as error:
         raise VolumeError(f"{path.name}: its header cannot be read, or its axes are not perpendicular; save it again") from error
-    _check_header(reader, path.name)
+    _check_header(reader, path.name, labels=labels)
     index_to_lps = _affine(reader, path.name)
     if is_nifti:
         _check_nifti(path)
@@ -167,13 +170,13 @@ def _data_files(path: Path) -> list[Path]:
     return [data]
 
 
-def _check_header(reader: Any, name: str) -> None:
+def _check_header(reader: Any, name: str, *, labels: bool) -> None:
     size = reader.GetSize()
     if reader.GetDimension() != 3:
         raise VolumeError(f"{name}: has {reader.GetDimension()} dimensions, expected 3; save one volume of it")
     if reader.GetNumberOfComponents() != 1:
         raise VolumeError(f"{name}: has {reader.GetNumberOfComponents()} values per voxel, expected 1; this is no CT")
-    if reader.GetPixelID() not in _PIXEL_TYPES:
+    if reader.GetPixelID() not in (_PIXEL_TYPES + _LABEL_TYPES if labels else _PIXEL_TYPES):
         kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
         raise VolumeError(f"{name}: has voxels of {kind}, which cannot hold HU; save the CT with 16 bits or more")
     if math.prod(size) > _MAX_VOXELS:

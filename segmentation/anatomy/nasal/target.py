@@ -15,7 +15,6 @@ from segmentation.anatomy.nasal.scene import SIDES, EntryRegion, NasalScene, Tis
 from segmentation.anatomy.nasal.upright import Upright
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.errors import CaseError
-from segmentation.volume import Volume
 
 COURSE = np.array([0.2, 0.78, 0.6])
 """Direction of the canal from the orbit: upwards, backwards, towards the middle; it makes about 36 degrees with the sagittal
@@ -153,21 +152,6 @@ def require_entry(scene: NasalScene, side: str) -> EntryRegion:
     raise CaseError(
         f"the {side} nostril was not found (found: {others}); give entry_{side} as a mask or a box, or plan the other side"
     )
-
-
-def require_frame(index_to_lps: FloatArray, volume: Volume, name: str) -> None:
-    """Refuse a mask in another frame.
-
-    Raises
-    ------
-    CaseError
-        If any corner lies more than a tenth of a voxel off.
-    """
-    corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)]) * (np.array(volume.voxels.shape) - 1)
-    placed = corners @ index_to_lps[:3, :3].T + index_to_lps[:3, 3]
-    off = float(np.linalg.norm(placed - volume.to_lps(corners), axis=1).max())
-    if off > 0.1 * float(volume.spacing.min()):
-        raise CaseError(f"{name}: lies up to {off:.1f} mm off the CT's grid; save it in the frame of this CT")
 
 
 def _check_side(side: str) -> None:
