@@ -25,8 +25,8 @@ from reports.wall import light_mesh
 from segmentation.mesh import Surface
 
 WORDS = {"ok": "Reached", "flagged": "Flagged", "infeasible": "Not reached"}
-REACH_WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "too sharp", "not found": "no way found"}
-REACH_KINDS = {"reached": "goal", "diameter": "curvature", "bend": "curvature", "not found": "clearance"}
+REACH_WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "bend", "collision": "collision"}
+REACH_KINDS = {"reached": "goal", "diameter": "curvature", "bend": "clearance", "collision": "clearance"}
 PLACES = 2
 
 
@@ -237,7 +237,7 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
             labels.append(Label(np.asarray(place, float), row["name"], "goal", 10 + k))
         elif row["verdict"] != "reached":
             labels.append(Label(np.asarray(place, float), row["name"], REACH_KINDS[row["verdict"]], k))
-        name = {"reached": "still-path", "not found": "still-flag clearance"}.get(row["verdict"], "still-flag curvature")
+        name = {"reached": "still-path", "diameter": "still-flag curvature"}.get(row["verdict"], "still-flag clearance")
         lines.append((name, np.asarray(row["points_mm"], float)))
     mesh = light_mesh(surface)
     words = (
@@ -246,8 +246,8 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
     still = still_picture(
         mesh, np.empty((0, 3)), (), tuple(labels), choose_view(mesh.vertices, str(document["frame"])), words, lines=tuple(lines)
     )
-    unproved = counts["not found"]
-    proof = " Every refusal is proved by the geometry." if not unproved else f" {unproved} without a proof."
+    unproved = counts["bend"] + counts["collision"]
+    proof = " Every refusal is proved by the geometry." if not unproved else ""
     return RobotPage(
         title=f"Reach: case {document['case_id']}",
         case_id=str(document["case_id"]),
@@ -255,7 +255,7 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
         word="Reach map",
         line=f"Bronchoscope robot of {document['robot']['diameter_mm']:g} mm",
         headline=phrase(f"{counts['reached']} of {total} branches are reached"),
-        lead=phrase(f"{counts['diameter']} are too narrow, {counts['bend']} too sharp, {unproved} were not found.{proof}"),
+        lead=phrase(f"{counts['diameter']} are proved too narrow; into {unproved} no way was found.{proof}"),
         warnings=tuple(str(text) for text in document["warnings"]),
         keys=(),
         views_title="Airway",

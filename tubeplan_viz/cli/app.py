@@ -23,6 +23,7 @@ from tubeplan_viz.cli import (
     plan,
     plan_bronchoscope,
     plan_needle,
+    reach,
     run,
     segment,
     verify,
@@ -59,6 +60,7 @@ for name, command in (
     ("view", view.view),
     ("export", export.export),
     ("matrix", matrix.matrix),
+    ("reach", reach.reach),
     ("bench", bench.bench),
 ):
     app.command(name)(command)

@@ -49,6 +49,19 @@ def record_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> 
     log_matrix(document, surface, path)
 
 
+def record_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None:
+    """Write the recording of a reach map, from the content of reach.json.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written or does not read back.
+    """
+    from tubeplan_viz.recording.reach import log_reach
+
+    log_reach(document, surface, path)
+
+
 __all__ = [
     "RecordedIteration",
     "RecordedPath",
@@ -60,6 +73,7 @@ __all__ = [
     "read_recording",
     "record_comparison",
     "record_matrix",
+    "record_reach",
     "show_native",
     "write_single_file",
 ]
