@@ -21,6 +21,7 @@ from markupsafe import Markup
 from reports import workspace
 from reports.derived import derived_values
 from reports.folds import Fact, Fold, folds
+from reports.measures import Section, measures_section
 from reports.numbers import Figure, Source, phrase, printed
 from reports.places import Place, critical_places
 from reports.relaxation import Relief, relief
@@ -75,6 +76,7 @@ class Page:
     features: tuple[FeatureRow, ...]
     features_line: str
     has_parts: bool
+    clinical: Section | None
     facts: tuple[Fact, ...]
     growth: Growth | None
     folds: tuple[Fold, ...]
@@ -149,6 +151,7 @@ def make_page(review: Review) -> Page:
         features=feature_rows(source, parts),
         features_line=_features_line(source),
         has_parts=bool(parts),
+        clinical=measures_section(source),
         facts=_facts(review, source, mesh, reduced),
         growth=_growth(review),
         folds=folds(source, parts),
