@@ -40,6 +40,8 @@ BUDGET = 4.0
 FULL_BEND = 0.97
 # The tip is in a branch when it is past so much of its length, or at its end.
 HALF = 0.5
+# A wide mouth shorter than this is no way in, mm.
+LEAST_WAY = 2.0
 RULE = (
     "Reached: a plan by the stated method ends there, or passes through. Too narrow: proved, the widest way from the entrance "
     "to the branch's middle is narrower than the robot, whatever the bends. Bend and collision: wide enough, but no plan was "
@@ -116,8 +118,9 @@ def reach_map(
         if passed:
             found[number] = BranchReach(verdict=Verdict.REACHED, reason=None, depth=branch.length)
         elif depth < min(HALF * branch.length, branch.length):
-            found[number] = too_narrow(airway, entrance, number, depth, robot) or planned(
-                airway, entrance, number, depth, robot, settings, rng_seed, simulator
+            into = planned(airway, entrance, number, depth, robot, settings, rng_seed, simulator) if depth > LEAST_WAY else None
+            found[number] = too_narrow(airway, entrance, number, into, robot) or (
+                into or planned(airway, entrance, number, depth, robot, settings, rng_seed, simulator)
             )
         else:
             found[number] = planned(airway, entrance, number, depth, robot, settings, rng_seed, simulator)
@@ -126,8 +129,8 @@ def reach_map(
     return tuple(found[number] for number in range(len(airway.branches)))
 
 
-def too_narrow(airway: AirwayTree, entrance: Entrance, number: int, depth: float, robot: Robot) -> BranchReach | None:
-    """The refusal of a branch by its width, proved; None where the proof fails."""
+def too_narrow(airway: AirwayTree, entrance: Entrance, number: int, into: BranchReach | None, robot: Robot) -> BranchReach | None:
+    """The refusal of a branch by its width, proved, with the plan `into` its wide part; None where the proof fails."""
     branch = airway.branches[number]
     begin = entrance.pose[:3, 3] + robot.active_length * entrance.pose[:3, 2]
     middle = airway.place(number, HALF * branch.length)
@@ -136,7 +139,10 @@ def too_narrow(airway: AirwayTree, entrance: Entrance, number: int, depth: float
         return None
     x, y, z = neck.place
     why = f"no way to its middle is wider than {2.0 * neck.bound:.1f} mm, at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
-    return BranchReach(verdict=Verdict.DIAMETER, reason=why, depth=0.0, bound=float(neck.bound))
+    refusal = BranchReach(verdict=Verdict.DIAMETER, reason=why, depth=0.0, bound=float(neck.bound))
+    if into is None or into.verdict is not Verdict.REACHED:
+        return refusal
+    return replace(refusal, depth=into.depth, tip_error=into.tip_error, plan=into.plan)
 
 
 def planned(

@@ -26,9 +26,7 @@ def reach(
     ct: Ct = None,
     mesh: Mesh = None,
     start: Start = None,
-    method: Annotated[
-        str, typer.Option("--method", help="kinematic, or dynamic: every plan in the MuJoCo simulator.")
-    ] = "kinematic",
+    method: Annotated[str, typer.Option("--method", help="kinematic, or dynamic: plans in the MuJoCo simulator.")] = "kinematic",
     diameter: Diameter = None,
     section: Section = None,
     bend_max: Bend = None,

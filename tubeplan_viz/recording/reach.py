@@ -89,7 +89,8 @@ def told(row: Mapping[str, Any]) -> str:
     """One branch as markdown."""
     why = "" if row["reason"] is None else f"\n\n{row['reason']}"
     return (
-        f"## {row['name']}: {row['verdict']}{why}\n\ndiameter {row['diameter_mm']:.1f} mm, least {row['least_diameter_mm']:.1f} mm, "
+        f"## {row['name']}: {row['verdict']}{why}\n\n"
+        f"diameter {row['diameter_mm']:.1f} mm, least {row['least_diameter_mm']:.1f} mm, "
         f"length {row['length_mm']:.1f} mm; reached {row['depth_mm']:.1f} mm of it"
     )
 
