@@ -10,18 +10,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from segmentation.arrays import FloatArray, frozen_array
-from segmentation.errors import CaseError
-from tubeplan_viz.centerline import Centerline
-from tubeplan_viz.geometry import Bound, SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
-from tubeplan_viz.plan import Limits, NoPathError
-from tubeplan_viz.tube.socp import MEAN_SHARE, Aim, Basis, StepProblem, WallRows, wall_rows
+from segmentation.arrays import FloatArray
+from tubeplan_viz.geometry import SplineCurve, clearance_lower_bound
+from tubeplan_viz.tube.passage import OBJECTIVES, OptimalSettings, Passage, Proposal, passage_of
+from tubeplan_viz.tube.samples import Grid, State, evened, first_spline, warm_start
+from tubeplan_viz.tube.socp import MEAN_SHARE, Aim, Basis, StepProblem, wall_rows
 
-OBJECTIVES = ("clearance", "length", "curvature")
+__all__ = ["CLEARANCE_TOLERANCE", "OBJECTIVES", "OptimalSettings", "Passage", "Proposal", "optimise", "passage_of"]
+
 # Second aim of each objective, after the least clearance has been raised.
 SECOND_AIM = {"clearance": "mean", "length": "length", "curvature": "curvature"}
 # Aimed at, as a share of the curvature limit, so that the bound between the samples meets it.
@@ -29,166 +29,17 @@ CURVATURE_AIM = 0.9998
 # How far below its least sample, in mm and as a share of it, the clearance is proved.
 CLEARANCE_TOLERANCE = 0.002
 PROOF_SHARE = 0.003
-CURVATURE_SAMPLES = 4
 # Share of the largest least clearance that an answer of the second phase must be proved to keep.
 KEPT = 0.996
 # Share of the clearance that a control point may move in one round: under 1 / sqrt(3), so that no wall is passed.
 TRUST_MAX = 0.5
 REFUSALS = 4
+SECOND_ROUNDS = 12
 ATTEMPTS = 3
 # The second aim is worth less precision than the least clearance.
 MEAN_COARSER = 6.0
 # Nearer to a ceiling that no path passes is not worth a round.
 CEILING_SHARE = 0.997
-
-
-@dataclass(frozen=True, kw_only=True)
-class OptimalSettings:
-    """Numbers of the optimal refinement.
-
-    Attributes
-    ----------
-    objective : {"clearance", "length", "curvature"}
-        What is best: the largest least clearance and then the largest mean; or, with both
-        limits kept, the shortest or the straightest path.
-    control_spacing : float, mm
-        Distance between control points along the path. 2.5 mm loses under 0.3 % of the least
-        clearance of bent cylinder 1 and its variants, 5 mm up to 1 %.
-    keep : float
-        Share of the largest least clearance that the second phase keeps.
-    tolerance : float
-        A phase ends when three rounds gain less than this share of the clearance.
-    max_rounds : int
-        Of each phase.
-    start_direction, goal_direction : 3 floats, optional
-        Direction of the path at its ends, from start to goal; free by default.
-    """
-
-    objective: str = "clearance"
-    control_spacing: float = 2.5
-    keep: float = 0.999
-    tolerance: float = 2.5e-4
-    max_rounds: int = 40
-    start_direction: tuple[float, float, float] | None = None
-    goal_direction: tuple[float, float, float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.objective not in OBJECTIVES:
-            raise CaseError(f"objective is {self.objective!r}, expected {', '.join(OBJECTIVES)}")
-        if not 0.5 <= self.control_spacing <= 20.0:
-            raise CaseError(
-                f"control_spacing is {self.control_spacing:g} mm, expected 0.5 to 20 (about one control point per 3 mm)"
-            )
-        if not 0.9 <= self.keep <= 1.0:
-            raise CaseError(f"keep is {self.keep:g}, expected 0.9 to 1 (share of the least clearance)")
-        if self.max_rounds < 1:
-            raise CaseError(f"max_rounds is {self.max_rounds}, expected 1 or more")
-        for name in ("start_direction", "goal_direction"):
-            direction = getattr(self, name)
-            if direction is not None and not 1e-9 < float(np.linalg.norm(direction)) < np.inf:
-                raise CaseError(f"{name} is {direction}, expected three numbers that are not all zero")
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Passage:
-    """Where a path is to go: the wall, the line to begin from and what the instrument needs.
-
-    Attributes
-    ----------
-    wall : WallDistance
-    line : (n, 3) float array, mm
-        Inside the lumen, from the start to the goal.
-    limits : Limits
-    """
-
-    wall: WallDistance
-    line: FloatArray
-    limits: Limits
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "line", frozen_array(self.line, (None, 3), "line"))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Proposal:
-    """The path after one round.
-
-    Attributes
-    ----------
-    curve : SplineCurve
-    phase : str
-        Aim of the phase it belongs to.
-    least, mean : float, mm
-        Sampled clearance.
-    curvature : float, 1/mm
-        Proved bound.
-    clearance : Bound or None
-        Proved at the end of a phase.
-    decisions : tuple of str
-    """
-
-    curve: SplineCurve
-    phase: str
-    least: float
-    mean: float
-    curvature: float
-    clearance: Bound | None = None
-    decisions: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """Control points with what was measured on them."""
-
-    control: FloatArray
-    rows: WallRows
-    curvature: float
-
-    @property
-    def least(self) -> float:
-        """Least sampled clearance, mm."""
-        return float(self.rows.clearance.min())
-
-    @property
-    def mean(self) -> float:
-        """Mean sampled clearance, mm."""
-        return float(self.rows.clearance.mean())
-
-
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Knots and the samples at which a path is held to its limits."""
-
-    knots: FloatArray
-    clearance_u: FloatArray
-    wall: WallDistance
-    clearance_basis: Basis = field(init=False)
-    curvature_basis: Basis = field(init=False)
-
-    def __post_init__(self) -> None:
-        breaks = np.unique(self.knots)
-        share = np.arange(CURVATURE_SAMPLES) / CURVATURE_SAMPLES
-        u = np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * share).ravel(), 1.0)
-        object.__setattr__(self, "clearance_basis", Basis.at(self.knots, self.clearance_u))
-        object.__setattr__(self, "curvature_basis", Basis.at(self.knots, u))
-
-    def curve(self, control: FloatArray) -> SplineCurve:
-        """The cubic with these control points."""
-        return SplineCurve(3, self.knots, control)
-
-    def measure(self, control: FloatArray, limit: float, *, known: State | None = None) -> State:
-        """Clearances at the samples, with the faces found for a state near by too, and the proved curvature."""
-        basis = self.clearance_basis
-        rows = wall_rows(basis.curve(control), basis.curve(control, 1), self.wall, None if known is None else known.rows.faces)
-        return State(control, rows, curvature_upper_bound(self.curve(control), limit=limit, tolerance=0.002).bound)
-
-    def inside(self, control: FloatArray) -> bool:
-        """Whether all samples but the ends, which may lie on caps, are in the lumen."""
-        return bool(self.wall.inside(self.clearance_basis.curve(control)[1:-1]).all())
-
-    def with_samples(self, u: FloatArray) -> Grid:
-        """The same with more samples for the clearance."""
-        return Grid(self.knots, np.union1d(self.clearance_u, u), self.wall)
 
 
 def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve | None = None) -> Iterator[Proposal]:
@@ -303,15 +154,6 @@ def run_phase(
     yield grid, state, replace(proposal(grid, state, aim.goal, (note,)), clearance=proved)
 
 
-def evened(grid: Grid, state: State) -> FloatArray:
-    """Control points of nearly the same path at even speed, where the programme's curvature is the true one."""
-    curve = grid.curve(state.control)
-    count = len(state.control)
-    u = np.linspace(0.0, 1.0, 4 * count)
-    target = curve(curve.parameter(u * curve.length))
-    return fit(Basis.at(grid.knots, u), target, state.control[[0, -1]], count, 1e-4)
-
-
 def tolerance_of(state: State) -> float:
     """How exactly the least clearance of a state is to be known, mm."""
     return min(CLEARANCE_TOLERANCE, max(PROOF_SHARE * state.least, 1e-4))
@@ -338,10 +180,13 @@ def rounds(
     """Accepted steps of one phase, each with what it did in words."""
     scale = max(float(np.median(state.rows.clearance)), 1e-3)
     penalty = 20.0 * scale
-    enough = settings.tolerance * scale * (1.0 if aim.goal == "least" else MEAN_COARSER)
+    enough = settings.tolerance * scale * (1.0 if first_phase(aim) else MEAN_COARSER)
     trust, idle, refused = 0.3, 0, 0
-    for _ in range(settings.max_rounds):
-        problem = StepProblem(state.control, grid.clearance_u, grid.clearance_basis, grid.curvature_basis, state.rows, fixed)
+    # The first phase decides how much room there is; what follows it is worth a dozen rounds.
+    for _ in range(settings.max_rounds if first_phase(aim) else min(settings.max_rounds, SECOND_ROUNDS)):
+        problem = StepProblem(
+            state.control, grid.clearance_u, state.weight, grid.clearance_basis, grid.curvature_basis, state.rows, fixed
+        )
         now = merit(grid, state, aim, limit, penalty)
         found = problem.solve(aim, trust, penalty)
         gain, promise = 0.0, np.inf
@@ -365,8 +210,13 @@ def rounds(
             trust *= 0.3
         elif gain > 0.7 * promise:
             trust = min(2.0 * trust, TRUST_MAX)
-        if idle >= (2 if aim.goal == "least" else 1) or max(promise, gain) < enough or refused >= REFUSALS:
+        if idle >= (2 if first_phase(aim) else 1) or max(promise, gain) < enough or refused >= REFUSALS:
             return
+
+
+def first_phase(aim: Aim) -> bool:
+    """Whether it is the least clearance of the whole path that is raised."""
+    return aim.goal == "least" and aim.span == (0.0, 1.0)
 
 
 def merit(grid: Grid, state: State, aim: Aim, limit: float, penalty: float) -> float:
@@ -394,73 +244,3 @@ def proposal(grid: Grid, state: State, phase: str, decisions: tuple[str, ...]) -
         curvature=state.curvature,
         decisions=decisions,
     )
-
-
-def first_spline(passage: Passage, settings: OptimalSettings) -> tuple[Grid, FloatArray]:
-    """Spline fitted to the line, as smooth as it can be without losing more than half of the line's least clearance."""
-    line, wall = passage.line, passage.wall
-    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    wanted = 0.5 * float(wall.distance(line).min())
-    for refinement in (1.0, 2.0, 4.0):
-        count = max(int(np.ceil(s[-1] * refinement / settings.control_spacing)), 8) + 3
-        knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
-        u = np.linspace(0.0, 1.0, 4 * count)
-        target = np.column_stack([np.interp(u * s[-1], s, line[:, k]) for k in range(3)])
-        basis = Basis.at(knots, u)
-        for smoothing in (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 1e-3):
-            control = fit(basis, target, line[[0, -1]], count, smoothing)
-            control = turn_ends(control, settings)
-            grid = Grid(knots, u, wall)
-            points = basis.curve(control)
-            if wall.inside(points[1:-1]).all() and wall.distance(points).min() >= min(
-                wanted, 0.9 * wall.distance(line[[0, -1]]).min()
-            ):
-                return Grid(knots, sample_parameters(grid.curve(control), wall), wall), control
-    raise NoPathError(
-        f"no spline with a control point every {settings.control_spacing / 4.0:.2g} mm follows the centerline inside the lumen; "
-        "check the segmentation for folds, or give a smaller control_spacing"
-    )
-
-
-def fit(basis: Basis, target: FloatArray, ends: FloatArray, count: int, smoothing: float) -> FloatArray:
-    """Least-squares control points through fixed ends, with a cost on their third differences."""
-    matrix = np.zeros((len(target), count))
-    np.put_along_axis(matrix, basis.first[:, None] + np.arange(4), basis.values[0], axis=1)
-    rough = np.sqrt(smoothing) * np.diff(np.eye(count), n=3, axis=0)
-    whole = np.concatenate([matrix, rough])
-    right = np.concatenate([target, np.zeros((len(rough), 3))]) - whole[:, [0, -1]] @ ends
-    inner = np.linalg.lstsq(whole[:, 1:-1], right, rcond=None)[0]
-    return np.concatenate([ends[:1], inner, ends[1:]])
-
-
-def turn_ends(control: FloatArray, settings: OptimalSettings) -> FloatArray:
-    """Second and last but one control point moved onto the directions asked for at the ends."""
-    control = np.array(control)
-    for direction, end, inner, sign in ((settings.start_direction, 0, 1, 1.0), (settings.goal_direction, -1, -2, -1.0)):
-        if direction is not None:
-            unit = sign * np.asarray(direction) / np.linalg.norm(direction)
-            control[inner] = control[end] + np.linalg.norm(control[inner] - control[end]) * unit
-    return control
-
-
-def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
-    """Parameters whose distance along the path is at most 0.3 times the clearance there, and 1 mm."""
-    u = curve.uniform_parameters(0.25)
-    spacing = np.clip(0.3 * wall.distance(curve(u)), 0.05, 1.0)
-    s = curve.arc_length(u)
-    # As many samples as the integral of their density.
-    density = np.concatenate([[0.0], np.cumsum(np.diff(s) / np.minimum(spacing[1:], spacing[:-1]))])
-    count = int(np.ceil(density[-1])) + 1
-    picked = np.interp(np.linspace(0.0, density[-1], count + 1), density, u)
-    picked[0], picked[-1] = 0.0, 1.0
-    return np.unique(picked)
-
-
-def warm_start(passage: Passage, warm: SplineCurve) -> tuple[Grid, FloatArray]:
-    """The grid of an earlier answer."""
-    return Grid(warm.knots, sample_parameters(warm, passage.wall), passage.wall), np.array(warm.control_points)
-
-
-def passage_of(wall: WallDistance, centerline: Centerline, limits: Limits) -> Passage:
-    """The passage along a centerline."""
-    return Passage(wall=wall, line=centerline.points, limits=limits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,12 +15,13 @@ from segmentation.arrays import FloatArray, frozen_array
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from tubeplan_viz.centerline import Centerline, CenterlineSettings, VoronoiGraph, trace_centerline, voronoi_graph
-from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.plan import Feature, FeatureKind, FlaggedInterval, FlagKind, Limits, NoPathError, Plan, PlanStatus, PlanStep
 from tubeplan_viz.profile import certify, flag_stretches, measure_closely, measure_path, path_metrics, with_peaks
 from tubeplan_viz.tube.explain import explain
 from tubeplan_viz.tube.features import FeatureSettings
-from tubeplan_viz.tube.optimal import OptimalSettings, Proposal, optimise, passage_of
+from tubeplan_viz.tube.never_worse import never_worse
+from tubeplan_viz.tube.passage import OptimalSettings, Proposal, passage_of
 from tubeplan_viz.tube.refine import RefineSettings, Round, first_features, refine
 from tubeplan_viz.tube.slices import SliceClearance
 
@@ -126,7 +128,17 @@ def tube_rounds(problem: TubeProblem) -> Iterator[Round]:
     settings = problem.settings
     if settings.method == "optimal":
         passage = passage_of(problem.wall, problem.centerline, problem.limits)
-        return (round_of(index, proposal) for index, proposal in enumerate(optimise(passage, settings.optimal)))
+
+        def local_path() -> SplineCurve:
+            return deque(feature_rounds(problem), maxlen=1)[0].curve
+
+        return (round_of(index, proposal) for index, proposal in enumerate(never_worse(passage, settings.optimal, local_path)))
+    return feature_rounds(problem)
+
+
+def feature_rounds(problem: TubeProblem) -> Iterator[Round]:
+    """The paper's iteration, whatever method the problem names."""
+    settings = problem.settings
     slices = SliceClearance(problem.surface, problem.wall, limit=problem.limits.clearance_min, pairs=settings.refine.slice_pairs)
     features = first_features(problem.centerline, settings.features)
     return refine(features, problem.centerline, slices, problem.limits, settings.refine)

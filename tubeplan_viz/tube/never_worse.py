@@ -1,0 +1,91 @@
+"""The optimal refinement held against the feature iteration: it never ends with less."""
+
+# Strategy: the refinement is local, so that its end depends on the line it begins from. Where an end of the path binds,
+# nothing more can be had. Elsewhere the feature iteration runs too; should it end with less excess of curvature or
+# more clearance, both proved, the refinement goes on from its path, and if even that loses, the path itself is the answer.
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from tubeplan_viz.geometry import SplineCurve, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.plan import NoPathError
+from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, optimise
+from tubeplan_viz.tube.passage import OptimalSettings, Passage, Proposal
+from tubeplan_viz.tube.samples import with_knots
+
+# Share of the clearance of the path's own ends above which no other path is looked for.
+BINDING = 0.995
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What is proved of a path: the share by which it exceeds the curvature limit, and its least clearance in mm."""
+
+    excess: float
+    clearance: float
+
+    def beats(self, other: Standing) -> bool:
+        """Whether it keeps the curvature limit better, or as well with more clearance."""
+        return (self.excess, -self.clearance) < (other.excess, -other.clearance)
+
+
+def standing(curve: SplineCurve, passage: Passage) -> Standing:
+    """The bounds of a path."""
+    limit = passage.limits.curvature_max
+    excess = curvature_upper_bound(curve, limit=limit).bound / limit - 1.0
+    clearance = clearance_lower_bound(curve, passage.wall, tolerance=CLEARANCE_TOLERANCE).bound
+    return Standing(excess=max(excess, 0.0), clearance=clearance)
+
+
+def never_worse(passage: Passage, settings: OptimalSettings, other: Callable[[], SplineCurve]) -> Iterator[Proposal]:
+    """Yield the rounds of the optimal refinement; the last one is no worse than the path that `other` gives.
+
+    Parameters
+    ----------
+    passage : Passage
+    settings : OptimalSettings
+        With another objective than clearance both limits count and not the most clearance: the
+        other path is then looked at only where a limit is broken.
+    other : callable
+        Makes the path to compare with; called only where it could be better.
+
+    Raises
+    ------
+    NoPathError
+        If no spline follows the passage's line inside the lumen, and the other path leaves it too.
+    """
+    last: Proposal | None = None
+    failure: NoPathError | None = None
+    try:
+        for last in optimise(passage, settings):
+            yield last
+    except NoPathError as error:
+        failure = error
+    ours = Standing(excess=float("inf"), clearance=0.0) if last is None else standing(last.curve, passage)
+    wanted = BINDING * float(passage.wall.distance(passage.line[[0, -1]]).min())
+    if settings.objective != "clearance":
+        wanted = min(wanted, passage.limits.clearance_min)
+    # A path that keeps no directions at its ends is no answer where they are asked for.
+    free = settings.start_direction is None and settings.goal_direction is None
+    if not free or (ours.excess == 0.0 and ours.clearance >= wanted):
+        if failure is not None:
+            raise failure
+        return
+    curve = other()
+    theirs = standing(curve, passage)
+    if not theirs.beats(ours) or theirs.clearance <= 0.0:
+        if failure is not None:
+            raise failure
+        return
+    note = f"the feature iteration ends with {theirs.clearance:.3f} mm, better than this: the refinement goes on from its path"
+    given: Proposal | None = None
+    for proposal in optimise(passage, settings, warm=with_knots(curve, settings.control_spacing)):
+        given = given or replace(proposal, decisions=(note,))
+        last = proposal
+        yield given if proposal.phase == "fit" else proposal
+    assert given is not None
+    assert last is not None
+    if theirs.beats(standing(last.curve, passage)):
+        yield replace(given, decisions=("the refinement lost from there: the path of the feature iteration stands",))

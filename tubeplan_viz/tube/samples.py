@@ -1,0 +1,161 @@
+"""The spline that the optimal refinement works on: knots, samples, first fit and what is measured there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from segmentation.arrays import FloatArray
+from tubeplan_viz.geometry import SplineCurve, WallDistance, curvature_upper_bound
+from tubeplan_viz.plan import NoPathError
+from tubeplan_viz.tube.passage import OptimalSettings, Passage
+from tubeplan_viz.tube.socp import Basis, WallRows, wall_rows
+
+CURVATURE_SAMPLES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Control points with what was measured on them."""
+
+    control: FloatArray
+    rows: WallRows
+    curvature: float
+    weight: FloatArray
+
+    @property
+    def least(self) -> float:
+        """Least sampled clearance, mm."""
+        return float(self.rows.clearance.min())
+
+    @property
+    def mean(self) -> float:
+        """Mean clearance along the path, mm: each sample counts with the length of path about it."""
+        return float(self.weight @ self.rows.clearance)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Knots and the samples at which a path is held to its limits."""
+
+    knots: FloatArray
+    clearance_u: FloatArray
+    wall: WallDistance
+    clearance_basis: Basis = field(init=False)
+    curvature_basis: Basis = field(init=False)
+
+    def __post_init__(self) -> None:
+        breaks = np.unique(self.knots)
+        share = np.arange(CURVATURE_SAMPLES) / CURVATURE_SAMPLES
+        u = np.append((breaks[:-1, None] + np.diff(breaks)[:, None] * share).ravel(), 1.0)
+        object.__setattr__(self, "clearance_basis", Basis.at(self.knots, self.clearance_u))
+        object.__setattr__(self, "curvature_basis", Basis.at(self.knots, u))
+
+    def curve(self, control: FloatArray) -> SplineCurve:
+        """The cubic with these control points."""
+        return SplineCurve(3, self.knots, control)
+
+    def measure(self, control: FloatArray, limit: float, *, known: State | None = None) -> State:
+        """Clearances at the samples, with the faces found for a state near by too, and the proved curvature."""
+        basis = self.clearance_basis
+        tangent = basis.curve(control, 1)
+        rows = wall_rows(basis.curve(control), tangent, self.wall, None if known is None else known.rows.faces)
+        gaps = np.diff(self.clearance_u)
+        weight = np.linalg.norm(tangent, axis=1) * 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps))
+        bound = curvature_upper_bound(self.curve(control), limit=limit, tolerance=0.002).bound
+        return State(control, rows, bound, weight / weight.sum())
+
+    def inside(self, control: FloatArray) -> bool:
+        """Whether all samples but the ends, which may lie on caps, are in the lumen."""
+        return bool(self.wall.inside(self.clearance_basis.curve(control)[1:-1]).all())
+
+    def with_samples(self, u: FloatArray) -> Grid:
+        """The same with more samples for the clearance."""
+        return Grid(self.knots, np.union1d(self.clearance_u, u), self.wall)
+
+
+def evened(grid: Grid, state: State) -> FloatArray:
+    """Control points of nearly the same path at even speed, where the programme's curvature is the true one."""
+    curve = grid.curve(state.control)
+    count = len(state.control)
+    u = np.linspace(0.0, 1.0, 4 * count)
+    target = curve(curve.parameter(u * curve.length))
+    return fit(Basis.at(grid.knots, u), target, state.control[[0, -1]], count, 1e-4)
+
+
+def first_spline(passage: Passage, settings: OptimalSettings) -> tuple[Grid, FloatArray]:
+    """Spline fitted to the line, as smooth as it can be without losing more than half of the line's least clearance."""
+    line, wall = passage.line, passage.wall
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    wanted = 0.5 * float(wall.distance(line).min())
+    for refinement in (1.0, 2.0, 4.0):
+        count = max(int(np.ceil(s[-1] * refinement / settings.control_spacing)), 8) + 3
+        knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, count - 2), np.ones(3)])
+        u = np.linspace(0.0, 1.0, 4 * count)
+        target = np.column_stack([np.interp(u * s[-1], s, line[:, k]) for k in range(3)])
+        basis = Basis.at(knots, u)
+        for smoothing in (3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 1e-3):
+            control = fit(basis, target, line[[0, -1]], count, smoothing)
+            control = turn_ends(control, settings)
+            grid = Grid(knots, u, wall)
+            points = basis.curve(control)
+            if wall.inside(points[1:-1]).all() and wall.distance(points).min() >= min(
+                wanted, 0.9 * wall.distance(line[[0, -1]]).min()
+            ):
+                return Grid(knots, sample_parameters(grid.curve(control), wall), wall), control
+    raise NoPathError(
+        f"no spline with a control point every {settings.control_spacing / 4.0:.2g} mm follows the centerline inside the lumen; "
+        "check the segmentation for folds, or give a smaller control_spacing"
+    )
+
+
+def fit(basis: Basis, target: FloatArray, ends: FloatArray, count: int, smoothing: float) -> FloatArray:
+    """Least-squares control points through fixed ends, with a cost on their third differences."""
+    matrix = np.zeros((len(target), count))
+    np.put_along_axis(matrix, basis.first[:, None] + np.arange(4), basis.values[0], axis=1)
+    rough = np.sqrt(smoothing) * np.diff(np.eye(count), n=3, axis=0)
+    whole = np.concatenate([matrix, rough])
+    right = np.concatenate([target, np.zeros((len(rough), 3))]) - whole[:, [0, -1]] @ ends
+    inner = np.linalg.lstsq(whole[:, 1:-1], right, rcond=None)[0]
+    return np.concatenate([ends[:1], inner, ends[1:]])
+
+
+def turn_ends(control: FloatArray, settings: OptimalSettings) -> FloatArray:
+    """Second and last but one control point moved onto the directions asked for at the ends."""
+    control = np.array(control)
+    for direction, end, inner, sign in ((settings.start_direction, 0, 1, 1.0), (settings.goal_direction, -1, -2, -1.0)):
+        if direction is not None:
+            unit = sign * np.asarray(direction) / np.linalg.norm(direction)
+            control[inner] = control[end] + np.linalg.norm(control[inner] - control[end]) * unit
+    return control
+
+
+def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
+    """Parameters whose distance along the path is at most 0.3 times the clearance there, and 1 mm."""
+    u = curve.uniform_parameters(0.25)
+    spacing = np.clip(0.3 * wall.distance(curve(u)), 0.05, 1.0)
+    s = curve.arc_length(u)
+    # As many samples as the integral of their density.
+    density = np.concatenate([[0.0], np.cumsum(np.diff(s) / np.minimum(spacing[1:], spacing[:-1]))])
+    count = int(np.ceil(density[-1])) + 1
+    picked = np.interp(np.linspace(0.0, density[-1], count + 1), density, u)
+    picked[0], picked[-1] = 0.0, 1.0
+    return np.unique(picked)
+
+
+def warm_start(passage: Passage, warm: SplineCurve) -> tuple[Grid, FloatArray]:
+    """The grid of an earlier answer."""
+    return Grid(warm.knots, sample_parameters(warm, passage.wall), passage.wall), np.array(warm.control_points)
+
+
+def with_knots(curve: SplineCurve, spacing: float) -> SplineCurve:
+    """The same curve with knots added until none of its spans is longer than `spacing` mm."""
+    breaks = np.unique(curve.knots)
+    lengths = np.diff(curve.arc_length(breaks))
+    spline = BSpline(curve.knots, curve.control_points, curve.degree)
+    for low, high, length in zip(breaks[:-1], breaks[1:], lengths, strict=True):
+        for u in np.linspace(low, high, int(np.ceil(length / spacing)) + 1)[1:-1]:
+            spline = spline.insert_knot(u)
+    return SplineCurve(curve.degree, spline.t, spline.c)
