@@ -97,11 +97,15 @@ class Head:
         for step in steps:
             step()
 
-    def _put(self, level: FloatArray, hu: float, kind: Tissue) -> BoolArray:
+    def _put(self, level: FloatArray, hu: float, kind: Tissue, *, inner: bool = False) -> BoolArray:
+        """Paint a solid; structures lose what it takes from them unless it is an `inner` part of theirs."""
         level = np.broadcast_to(level, self.tissue.shape)
         self.canvas.paint((slice(None),) * 3, level, hu)
         inside: BoolArray = level < 0.0
         self.tissue[inside] = kind
+        if not inner:
+            for name in self.masks:
+                self.masks[name] = self.masks[name] & ~inside
         return inside
 
     def _box(self, half: float | tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> FloatArray:
@@ -154,8 +158,8 @@ class Head:
         self._put(_both(wall, -46.0 - self.y), BONE, Tissue.BONE)
         content = _both(self._cone(ORBIT, APEX, ORBIT_RADIUS, APEX_RADIUS), face(self.x) + 2.5 - self.y)
         inside = self._put(content, FAT, Tissue.SOFT)
-        self._put(_both(content, self._cone((32.0, -37.0, 22.0), (32.0, -37.0, 22.0), 11.5, 11.5)), EYE, Tissue.SOFT)
-        self._put(_both(content, self._cone((30.0, -28.0, 23.0), APEX, 2.0, 2.0)), NERVE, Tissue.SOFT)
+        self._put(_both(content, self._cone((32.0, -37.0, 22.0), (32.0, -37.0, 22.0), 11.5, 11.5)), EYE, Tissue.SOFT, inner=True)
+        self._put(_both(content, self._cone((30.0, -28.0, 23.0), APEX, 2.0, 2.0)), NERVE, Tissue.SOFT, inner=True)
         self.masks["orbit_left"] = inside & (self.x > 0.0)
         self.masks["orbit_right"] = inside & (self.x < 0.0)
 
@@ -194,8 +198,8 @@ class Head:
         )  # fmt: skip
         self.masks["septum"] = self._put(sheet, MUCOSA, Tissue.SOFT)
         core = self.from_septum - SEPTUM_CORE
-        self._put(_both(sheet + 1.0, core, self.y + 52.0), CARTILAGE, Tissue.SOFT)
-        self.masks["septum_core"] = self._put(_both(sheet, core, -52.0 - self.y), BONE, Tissue.BONE)
+        self._put(_both(sheet + 1.0, core, self.y + 52.0), CARTILAGE, Tissue.SOFT, inner=True)
+        self.masks["septum_core"] = self._put(_both(sheet, core, -52.0 - self.y), BONE, Tissue.BONE, inner=True)
 
     def _turbinates(self) -> None:
         (x, z), (front, rear) = TURBINATE, TURBINATE_ENDS
@@ -206,7 +210,7 @@ class Head:
             self._cone((x, front + 3.0, z), (x, rear - 3.0, z), TURBINATE_CORE, TURBINATE_CORE),
             self._box((x, CAVITY_HALF), (front + 3.0, rear - 3.0), (z - 0.7, z + 0.7)),
         )
-        hard = self._put(core, BONE, Tissue.BONE)
+        hard = self._put(core, BONE, Tissue.BONE, inner=True)
         for side, there in (("left", self.x > 0.0), ("right", self.x < 0.0)):
             self.masks[f"turbinate_{side}"] = inside & there
             self.masks[f"turbinate_{side}_core"] = hard & there
