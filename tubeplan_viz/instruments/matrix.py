@@ -51,15 +51,12 @@ def find_targets(
 ) -> tuple[Target, ...]:
     """Centerline and clearance ceiling of every goal; one graph and one widest-way tree serve all."""
     ceiling = ClearanceCeiling(wall, start)
-    return tuple(
-        Target(
-            label=goal.label,
-            point=goal.point,
-            centerline=trace_centerline(graph, wall, start, goal.point, settings.tube.centerline),
-            ceiling=ceiling.to(goal.point),
-        )
-        for goal in goals
-    )
+    found = []
+    for goal in goals:
+        line = trace_centerline(graph, wall, start, goal.point, settings.tube.centerline)
+        kept = 0.0 if line is None else float(line.radii.min())
+        found.append(Target(label=goal.label, point=goal.point, centerline=line, ceiling=ceiling.to(goal.point, kept=kept)))
+    return tuple(found)
 
 
 def instrument_matrix(
