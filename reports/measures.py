@@ -24,8 +24,10 @@ TITLES = {
     "stone": "Stones",
     "structure": "Structures near the path",
 }
+PARTS = {"infundibulopelvic_angle_deg": "Infundibula", "infundibular_length_mm": "Calyces", "generation": "Branches"}
 PICTURE = 340.0  # drawing units of the longer side
 ROOM = 34.0
+LABEL_WIDE, LABEL_TALL = 24.0, 12.0
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,7 @@ def measures_section(source: Source) -> Section | None:
     drawing = told.get("drawing")
     frame = str(source.result.get("frame"))
     return Section(
-        groups=tuple(group_of(source, told["items"], name) for name in TITLES if any(i["group"] == name for i in told["items"])),
+        groups=tuple(group for name in TITLES for group in groups_of(source, told["items"], name)),
         scores=tuple(score_of(source, k, score) for k, score in enumerate(told["scores"])),
         meanings=tuple(Meaning(one["name"], one["text"], one["source"]) for one in told["definitions"].values()),
         picture=None if drawing is None else picture_of(drawing),
@@ -92,20 +94,24 @@ def measures_section(source: Source) -> Section | None:
     )
 
 
-def group_of(source: Source, items: Sequence[Mapping[str, Any]], group: str) -> Group:
-    """The measures of one group: one row for each part, one column for each kind."""
+def groups_of(source: Source, items: Sequence[Mapping[str, Any]], group: str) -> list[Group]:
+    """The measures of one group: what holds for the whole as a list, parts of one kind as rows of one table."""
     mine = [(k, item) for k, item in enumerate(items) if item["group"] == group]
-    kinds = list(dict.fromkeys(item["key"] for _, item in mine))
-    shown = {item["key"]: item["name"] + (f", {item['unit']}" if item["unit"] else "") for _, item in mine}
-    parts = list(dict.fromkeys(item["of"] for _, item in mine))
-    # Kinds that hold for the whole alone would leave empty columns beside those that hold for parts.
-    if len(kinds) > 1 and len(parts) > 1 and "" in parts or parts == [""]:
-        return listed(source, mine, group)
+    made = []
+    whole = [(k, item) for k, item in mine if not item["of"]]
+    if whole:
+        made.append(listed(source, whole, group))
+    kinds: dict[tuple[str, ...], list[str]] = {}
+    for of in dict.fromkeys(item["of"] for _, item in mine if item["of"]):
+        kinds.setdefault(tuple(item["key"] for _, item in mine if item["of"] == of), []).append(of)
     place = {(item["of"], item["key"]): (k, item) for k, item in mine}
-    rows = tuple(
-        Row(of, tuple(value_of(source, *place[of, key]) if (of, key) in place else phrase("") for key in kinds)) for of in parts
-    )
-    return Group(TITLES[group], tuple(shown[key] for key in kinds), rows, reasons(mine))
+    for keys, parts in kinds.items():
+        names = [place[parts[0], key][1] for key in keys]
+        head = tuple(item["name"] + (f", {item['unit']}" if item["unit"] else "") for item in names)
+        rows = tuple(Row(of, tuple(value_of(source, *place[of, key]) for key in keys)) for of in parts)
+        title = PARTS.get(keys[0], TITLES[group])
+        made.append(Group(title, head, rows, reasons([place[of, key] for of in parts for key in keys])))
+    return made
 
 
 def listed(source: Source, mine: Sequence[tuple[int, Mapping[str, Any]]], group: str) -> Group:
@@ -174,20 +180,28 @@ def picture_of(drawing: Mapping[str, Any]) -> Markup:
         parts.append(tag("path", class_=kind, d=path_data(at(line))))
     if {"pelvis", "ureter level"} <= points.keys():
         parts.append(tag("path", class_="measure-axis", d=path_data(at(np.array([points["pelvis"], points["ureter level"]])))))
-    words = []
+    words: list[tuple[float, float, str, str]] = []
     for name, point in points.items():
         x, y = at(point[None])[0]
         parts.append(tag("circle", class_="measure-dot", cx=float(x), cy=float(y), r=2.5))
         label = name.removeprefix("bottom of ") if name.startswith("bottom of ") else "" if name.startswith("lip of ") else name
         if label:
             side = "end" if x > 0.6 * size[0] and not name.startswith("bottom") else "start"
-            words.append(
-                tag("text", label, class_="axis", x=float(x) + (-6 if side == "end" else 6), y=float(y) + 4, text_anchor=side)
-            )
+            words.append((float(x) + (-6.0 if side == "end" else 6.0), float(y) + 4.0, side, label))
     told = "Middle lines of the lumen with the axes and places of the measures"
     return Markup('<svg class="measure" viewBox="0 0 {:.0f} {:.0f}" role="img" aria-label="{}">{}</svg>').format(
-        float(size[0]), float(size[1]), told, Markup("").join([*parts, *words])
+        float(size[0]), float(size[1]), told, Markup("").join([*parts, *apart(words)])
     )
+
+
+def apart(words: Sequence[tuple[float, float, str, str]]) -> list[Markup]:
+    """Labels as (x, y, anchor, text), those that would lie on each other moved down."""
+    placed: list[tuple[float, float, str, str]] = []
+    for x, y, anchor, label in sorted(words, key=lambda word: word[1]):
+        near = [other for other in placed if abs(other[0] - x) < LABEL_WIDE]
+        lowest = max((other[1] for other in near), default=-LABEL_TALL)
+        placed.append((x, max(y, lowest + LABEL_TALL), anchor, label))
+    return [tag("text", label, class_="axis", x=x, y=y, text_anchor=anchor) for x, y, anchor, label in placed]
 
 
 def path_data(points: FloatArray) -> str:

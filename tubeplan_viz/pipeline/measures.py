@@ -100,7 +100,7 @@ def measure_run(
         inputs.extend(mask.inputs)
         measures += structure_measures(name, Volume(mask.voxels, mask.index_to_lps), s, points)
     scores = []
-    if anatomy == "urinary":
+    if anatomy == "urinary" and stones:
         facts = stone_facts(stones, lumen, urinary, abnormal=case.abnormal_anatomy)
         scores = [score(facts).details() for score in (russ, rirs)]
     return Measured(details=details_of(measures, scores, drawing), inputs=tuple(inputs))
