@@ -10,6 +10,7 @@ from reports.render import (
     render_needle,
     render_reach,
     render_report,
+    render_rigid,
     write_page,
 )
 
@@ -24,5 +25,6 @@ __all__ = [
     "render_needle",
     "render_reach",
     "render_report",
+    "render_rigid",
     "write_page",
 ]

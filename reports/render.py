@@ -20,9 +20,12 @@ from reports.comparison import make_comparison_page
 from reports.matrix import make_matrix_page
 from reports.needle import make_needle_page
 from reports.needle_ct import Surroundings
+from reports.rigid import make_rigid_page
 from reports.views import make_page
+from segmentation.arrays import BoolArray
 from segmentation.errors import TubeplanError
 from segmentation.mesh import Surface
+from segmentation.volume import Volume
 from tubeplan_viz.result import Comparison, Review
 
 
@@ -186,6 +189,18 @@ def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
     return _filled(
         "bronchoscope.html.j2", script="", style=_style(), page=page, result_json=embedded(told), json_id="tubeplan-reach"
     )
+
+
+def render_rigid(case_id: str, result: Mapping[str, Any], volume: Volume, structures: Mapping[str, BoolArray]) -> str:
+    """The report of one rigid run as HTML, without outside references and without scripts; parameters as `make_rigid_page`.
+
+    Raises
+    ------
+    ReportError
+        If the result holds numbers that are not finite.
+    """
+    page = make_rigid_page(case_id, result, volume, structures)
+    return _filled("rigid.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
 
 
 def _style() -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases import bronchoscope, needle, tube
-from tubeplan_viz.pipeline import RunOptions, run_bronchoscope, run_needle, run_tube
+from tubeplan_viz.cases import bronchoscope, needle, rigid, tube
+from tubeplan_viz.pipeline import RunOptions, run_bronchoscope, run_needle, run_rigid, run_tube
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +36,7 @@ PLANNERS: dict[str, Planner] = {
     "tube": Planner(make=tube.make_case, case=tube.Case, run=run_tube),
     "needle2d": _NEEDLE,
     "needle3d": _NEEDLE,
+    "rigid": Planner(make=rigid.make_rigid_case, case=rigid.RigidCase, run=run_rigid),
     "bronchoscope": Planner(make=bronchoscope.make_bronchoscope_case, case=bronchoscope.BronchoscopeCase, run=run_bronchoscope),
 }
 

@@ -23,6 +23,7 @@ from tubeplan_viz.cli import (
     plan,
     plan_bronchoscope,
     plan_needle,
+    plan_rigid,
     reach,
     run,
     segment,
@@ -47,6 +48,7 @@ app.add_typer(plans, name="plan")
 plans.command("tube")(plan.tube)
 plans.command("needle2d")(plan_needle.needle2d)
 plans.command("needle3d")(plan_needle.needle3d)
+plans.command("rigid")(plan_rigid.rigid)
 plans.command("bronchoscope")(plan_bronchoscope.bronchoscope)
 for name, command in (
     ("demo", demo.demo),

@@ -5,6 +5,7 @@ from tubeplan_viz.pipeline.lumen import Lumen, growth_details, load_lumen, segme
 from tubeplan_viz.pipeline.needle import run_needle
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
+from tubeplan_viz.pipeline.rigid import run_rigid
 from tubeplan_viz.pipeline.segment import segment_case
 from tubeplan_viz.pipeline.tree import Tree, branches_from, endpoint_details, grow_tree, pose_case, resolve_end
 from tubeplan_viz.pipeline.tube import run_tube, surface_details
@@ -24,6 +25,7 @@ __all__ = [
     "resolve_end",
     "run_bronchoscope",
     "run_needle",
+    "run_rigid",
     "run_tube",
     "segment_case",
     "segmentation_settings",

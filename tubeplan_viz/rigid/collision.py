@@ -224,7 +224,9 @@ class Gaps:
     place: FloatArray
 
 
-def structure_gaps(obstacles: Obstacles, bodies: Bodies, structures: Sequence[int] | None = None, *, settled: bool = True) -> Gaps:
+def structure_gaps(
+    obstacles: Obstacles, bodies: Bodies, structures: Sequence[int] | None = None, *, settled: bool = True
+) -> Gaps:
     """Distance of bodies, in the image frame, to each structure; for bodies that hold no structure's surface.
 
     The axis is halved where a piece could still hold the nearest place: with d the distance of a piece's middle to the

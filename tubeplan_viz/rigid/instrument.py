@@ -221,7 +221,12 @@ def swept(instrument: CoupledInstrument, start: FloatArray, end: FloatArray, rol
 
 
 def posed(
-    instrument: CoupledInstrument, tip: FloatArray, direction: FloatArray, roll: FloatArray | float, *, run: FloatArray | float = 0.0
+    instrument: CoupledInstrument,
+    tip: FloatArray,
+    direction: FloatArray,
+    roll: FloatArray | float,
+    *,
+    run: FloatArray | float = 0.0,
 ) -> Bodies:
     """The instrument with its tip at (n, 3) points along (n, 3) unit directions, drawn out backwards by `run` mm: 2 n bodies."""
     n = len(tip)

@@ -140,7 +140,9 @@ class Obstacles:
         return found
 
 
-def build_obstacles(volume: Volume, masks: Mapping[str, BoolArray], *, within: tuple[FloatArray, FloatArray] | None = None) -> Obstacles:
+def build_obstacles(
+    volume: Volume, masks: Mapping[str, BoolArray], *, within: tuple[FloatArray, FloatArray] | None = None
+) -> Obstacles:
     """Obstacles of named masks on the voxels of a volume.
 
     Parameters

@@ -49,6 +49,11 @@ class Problem:
     instrument: CoupledInstrument
     margin: float
 
+    def structures_only(self) -> Obstacles:
+        """The obstacles without the border of the entry region."""
+        masks = {n: m for n, m in zip(self.obstacles.names, self.obstacles.masks, strict=True) if n != BORDER}
+        return build_obstacles(self.scene.volume, masks)
+
     def judge(self, *, exact: bool = False) -> Judge:
         """Collision checks with their own count."""
         return Judge(self.obstacles, self.instrument, self.starts, margin=self.margin, exact=exact)
@@ -118,9 +123,10 @@ def plan_rigid(
     settings: SearchSettings,
     weights: Weights,
     *,
+    amount: float,
     progress: Progress | None = None,
 ) -> RigidPlan:
-    """Search at each amount of shrinkage in rising order, and rank the paths of the last.
+    """Search at each amount of shrinkage in rising order, and rank the paths of one.
 
     Parameters
     ----------
@@ -128,15 +134,17 @@ def plan_rigid(
         Each with obstacles that are a part of those before; paths found with less shrinkage stand with more.
     settings : SearchSettings
     weights : Weights
+    amount : float
+        The one of `problems` whose paths are ranked.
     progress : callable, optional
         Told the stage, and how many starts of how many are decided.
     """
     tell = progress or (lambda stage, done, total: None)
     searches: dict[float, SearchResult] = {}
     known: Sequence[RigidPath] = ()
-    for amount in sorted(problems):
-        stage = f"search, mucosa shrunk {100 * amount:.0f} %"
-        problem = problems[amount]
+    for share in sorted(problems):
+        stage = f"search, mucosa shrunk {100 * share:.0f} %"
+        problem = problems[share]
         found = search(
             problem.judge(),
             problem.starts,
@@ -145,13 +153,13 @@ def plan_rigid(
             known=known,
             progress=lambda done, total, stage=stage: tell(stage, done, total),  # type: ignore[misc]
         )
-        searches[amount] = found
+        searches[share] = found
         known = found.paths
-    last = problems[max(problems)]
-    paths = ranked_paths(known)
+    planned = problems[amount]
+    paths = ranked_paths(searches[amount].paths)
     tell("goals", 0, len(paths))
-    goals = path_goals(last, paths) if paths else np.empty((0, 6))
-    return RigidPlan(last, searches, paths, goals, rank(goals, weights) if paths else None, searches[max(problems)])
+    goals = path_goals(planned, paths) if paths else np.empty((0, 6))
+    return RigidPlan(planned, searches, paths, goals, rank(goals, weights) if paths else None, searches[amount])
 
 
 def ranked_paths(paths: Sequence[RigidPath]) -> tuple[RigidPath, ...]:

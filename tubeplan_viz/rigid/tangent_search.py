@@ -184,9 +184,7 @@ def search(
         if state.solved.any():
             _from_neighbours(state, settings, lambda: tell(int(state.solved.sum()), n))
     tell(n, n)
-    return SearchResult(
-        tuple(state.paths), state.solved, blocked_by, blocked_at, state.refused, judge.evaluations - begun
-    )
+    return SearchResult(tuple(state.paths), state.solved, blocked_by, blocked_at, state.refused, judge.evaluations - begun)
 
 
 def _straight(state: _State, settings: SearchSettings) -> tuple[IntArray, FloatArray]:
@@ -272,14 +270,14 @@ def _from_neighbours(state: _State, settings: SearchSettings, tell: Callable[[],
         by_start = {path.start: k for k, path in enumerate(state.paths)}
         solved = np.array(sorted(by_start), dtype=np.int64)
         tree = cKDTree(state.starts[solved])
-        _, near = tree.query(state.starts[rows], k=min(settings.neighbours, len(solved)))
-        near = np.asarray(near).reshape(len(rows), -1)
+        away, near = tree.query(state.starts[rows], k=min(settings.neighbours, len(solved)))
+        near, away = np.asarray(near).reshape(len(rows), -1), np.asarray(away).reshape(len(rows), -1)
         before = int(state.solved.sum())
         for k in range(near.shape[1]):
             chosen, tails, rolls = [], [], []
-            for row, other in zip(rows, solved[near[:, k]], strict=True):
+            for row, other, gap in zip(rows, solved[near[:, k]], away[:, k], strict=True):
                 which = by_start[int(other)]
-                if state.solved[row] or (int(row), which) in offered:
+                if gap > SPREAD_MM or state.solved[row] or (int(row), which) in offered:
                     continue
                 offered.add((int(row), which))
                 path = state.paths[which]
@@ -294,9 +292,7 @@ def _from_neighbours(state: _State, settings: SearchSettings, tell: Callable[[],
             return
 
 
-def tangent_nodes(
-    judge: Judge, here: FloatArray, starts: FloatArray, label: IntArray, settings: SearchSettings
-) -> FloatArray:
+def tangent_nodes(judge: Judge, here: FloatArray, starts: FloatArray, label: IntArray, settings: SearchSettings) -> FloatArray:
     """Nodes beside the structures in the way, (n, planes, 3) LPS mm, those that turn least first; not a number for none.
 
     Parameters

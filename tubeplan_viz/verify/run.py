@@ -25,6 +25,7 @@ from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
 from tubeplan_viz.verify.needle import check_needle
 from tubeplan_viz.verify.page import check_page
 from tubeplan_viz.verify.profile import OwnProfile, measure
+from tubeplan_viz.verify.rigid import check_rigid
 from tubeplan_viz.verify.setting import check_ends, check_frame, check_limits, check_surface, check_unit
 from tubeplan_viz.verify.spline import BezierPath
 from tubeplan_viz.verify.verification import Check, Verification
@@ -119,6 +120,9 @@ def _checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
 def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
     if result["planner"]["name"] in NEEDLE_PLANNERS:
         yield from check_needle(folder, result)
+        return
+    if result["planner"]["name"] == "rigid":
+        yield from check_rigid(folder, result)
         return
     if result["planner"]["name"] not in SPLINE_PLANNERS:
         found = result["planner"]["name"]

@@ -1,0 +1,336 @@
+"""The page of a rigid plan: verdict, CT with labels, entry map, corridor, distances, choices, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from reports.derived import derived_values
+from reports.folds import Fold, folds
+from reports.numbers import Phrase, Source, phrase
+from reports.rigid_drawings import LABEL_COLORS, corridor_view, entry_map, goals_chart, label_picture, profile_drawing
+from reports.tables import or_dash
+from segmentation.arrays import BoolArray
+from segmentation.volume import Volume
+
+WORDS = {"ok": "Feasible", "flagged": "Flagged", "infeasible": "No way in"}
+PLANE_NAMES = ("axial", "coronal", "sagittal")
+
+
+@dataclass(frozen=True)
+class Key:
+    """One figure under the verdict."""
+
+    term: str
+    value: Phrase
+    more: Phrase
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One drawing with its title and a line about it."""
+
+    title: str
+    drawing: Markup
+    line: str = ""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One section: drawings, then a table."""
+
+    id: str
+    title: str
+    line: str
+    drawings: tuple[Drawing, ...] = ()
+    legend: tuple[tuple[str, str], ...] = ()
+    head: tuple[str, ...] = ()
+    rows: tuple[tuple[Phrase, ...], ...] = ()
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class RigidPage:
+    """What the template prints, in its order."""
+
+    title: str
+    case_id: str
+    status: str
+    word: str
+    line: str
+    headline: Phrase
+    lead: Phrase
+    warnings: tuple[str, ...]
+    keys: tuple[Key, ...]
+    parts: tuple[Part, ...]
+    folds: tuple[Fold, ...]
+
+
+def make_rigid_page(case_id: str, result: Mapping[str, Any], volume: Volume, structures: Mapping[str, BoolArray]) -> RigidPage:
+    """Everything that the page shows.
+
+    Parameters
+    ----------
+    case_id : str
+    result : mapping
+        The content of result.json.
+    volume : Volume
+        The CT; only planes through the lesion and the way are shown, cut to their surroundings.
+    structures : mapping of name to (slices, rows, columns) bool array
+        As planned with, after shrinkage.
+    """
+    source = Source(result, derived_values(result))
+    status = str(result["status"])
+    side = str(result["details"]["side"])
+    parts = (
+        _pictures(result, volume, structures),
+        _entry(source),
+        _corridor(source),
+        _profile(source),
+        _choices(source),
+        _goals(source),
+        _shrinkage(source),
+        _labels(source),
+    )
+    return RigidPage(
+        title=f"{WORDS[status]}: case {case_id}",
+        case_id=case_id,
+        status=status,
+        word=WORDS[status],
+        line=f"Endoscope and shaver through the {side} nostril",
+        headline=phrase(
+            "The coupled instrument reaches the lesion" if status == "ok" else "No way to the lesion for this instrument"
+        ),
+        lead=_lead(source, status),
+        warnings=tuple(str(text) for text in result["details"].get("warnings") or ()),
+        keys=_keys(source),
+        parts=tuple(part for part in parts if part is not None),
+        folds=folds(source, ()),
+    )
+
+
+def _lead(source: Source, status: str) -> Phrase:
+    if status != "ok":
+        text = str(source.result["reason"])
+        return phrase(text[:1].upper() + text[1:] + ("" if text.endswith(".") else "."))
+    least = source.need("metrics.clearance_min_mm", 2, "mm", strong=True)
+    proved = source.need("certificate.clearance_lower_bound_mm", 2, "mm")
+    feasible, starts = source.need("details.entry.counts.feasible", 0), source.need("details.entry.counts.starts", 0)
+    return phrase(
+        "Along the best path endoscope and shaver pass every named structure at ", least, " or more; ", proved,
+        " are proved for the whole sweep. It can begin at ", feasible, " of ", starts, " places of the entry region.",
+    )  # fmt: skip
+
+
+def _keys(source: Source) -> tuple[Key, ...]:
+    tool = source.result["details"]["instrument"]
+    diameters = phrase(
+        "⌀ ", source.need("details.instrument.scope_diameter_mm", 1), " and ",
+        source.need("details.instrument.shaver_diameter_mm", 1, "mm"),
+    )  # fmt: skip
+    apart = phrase(
+        source.need("details.instrument.offset_mm", 1, "mm"), " apart, tip ", source.need("details.instrument.setback_mm", 1, "mm"),
+        " ahead",
+    )  # fmt: skip
+    made = [Key("Endoscope and shaver", diameters, apart)]
+    length = source.figure("metrics.length_mm", 1, "mm")
+    if length is not None:
+        bends = len(source.result["details"]["nodes"]) - 1
+        made.append(
+            Key("Length", phrase(length), phrase("straight" if bends == 0 else f"{bends} bend{'s' if bends > 1 else ''}"))
+        )
+        made.append(
+            Key(
+                "Least distance",
+                phrase(source.need("metrics.clearance_min_mm", 2, "mm")),
+                phrase("instrument's surface to a named structure, ", source.need("limits.clearance_min_mm", 1, "mm"), " asked"),
+            )
+        )
+    made.append(
+        Key(
+            "Entry",
+            phrase(source.need("details.entry.counts.feasible", 0), " of ", source.need("details.entry.counts.starts", 0)),
+            phrase("voxels feasible"),
+        )
+    )
+    assert tool["endoscope"]
+    return tuple(made)
+
+
+def _legend(names: list[str]) -> tuple[tuple[str, str], ...]:
+    return tuple((name.replace("_", " "), LABEL_COLORS[name]) for name in names if name in LABEL_COLORS)
+
+
+def _pictures(result: Mapping[str, Any], volume: Volume, structures: Mapping[str, BoolArray]) -> Part:
+    details, path = result["details"], result["path"]
+    goal = np.array(details["goal_mm"], float)
+    places = [("At the lesion", goal)]
+    if path is not None:
+        points = np.array(path["points_mm"], float)
+        places.append(("Half-way", points[len(points) // 2]))
+    drawings = tuple(
+        Drawing(f"{where}, {plane}", label_picture(volume, structures, place, plane, None if path is None else path["points_mm"]))
+        for where, place in places
+        for plane in PLANE_NAMES
+    )
+    return Part(
+        id="labels-on-ct",
+        title="Labels on the CT",
+        line="Planes through the lesion and the middle of the way; the cross marks the place, the line the path. The left of the "
+        "patient is on the right.",
+        drawings=drawings,
+        legend=_legend(list(structures)),
+    )
+
+
+def _entry(source: Source) -> Part:
+    entry = source.result["details"]["entry"]
+    names = entry["structures"]
+    rows = []
+    totals = np.array(entry["refused"], int).sum(axis=0) if len(entry["refused"]) else np.zeros(len(names), int)
+    for k, name in enumerate(names):
+        key = f"details.entry.counts.blocked_by_{name.replace(' ', '_')}"
+        if source.value(key) or totals[k]:
+            rows.append((phrase(name.replace("_", " ")), phrase(source.need(key, 0)), phrase(str(int(totals[k])))))
+    goal = np.array(source.result["details"]["goal_mm"], float)
+    return Part(
+        id="entry",
+        title="Entry region",
+        line="Seen from in front of the nose along the way to the lesion; each square is a voxel of the entry region. Green: a path "
+        "begins there. Other colours: no path, and what blocks the straight push.",
+        drawings=(Drawing("Feasible, and why not", entry_map(entry, goal, str(source.result["details"]["side"]))),),
+        legend=(("feasible", "var(--holds)"), *_legend(list(names))),
+        head=("Structure", "Infeasible voxels whose straight push it blocks", "Tries it refused in all"),
+        rows=tuple(rows),
+    )
+
+
+def _corridor(source: Source) -> Part | None:
+    details = source.result["details"]
+    if source.result["path"] is None:
+        return None
+    rows = []
+    for k in range(len(details["nodes"])):
+        key = f"details.nodes.{k}"
+        tip = phrase(*(p for j in range(3) for p in (", " if j else "", source.figure(f"{key}.tip_mm.{j}", 1))))
+        angles = (source.need(f"{key}.{name}_deg", 1) for name in ("alpha", "beta", "gamma"))
+        rows.append((phrase("lesion" if k == len(details["nodes"]) - 1 else f"node {k + 1}"), tip, *(phrase(a) for a in angles)))
+    return Part(
+        id="corridor",
+        title="Instrument and corridor",
+        line="The instrument at each node, drawn to scale: endoscope above, shaver with its tip on the path.",
+        drawings=(
+            Drawing("From the side: y to the right (backwards), z upwards", corridor_view(source.result, (1, 2), (1.0, 1.0))),
+            Drawing("From above: x to the right (left of the patient), y upwards (backwards)", corridor_view(source.result, (0, 1), (1.0, 1.0))),
+        ),
+        head=("At", "Tip (x, y, z), mm", "α, °", "β (roll), °", "γ, °"),
+        rows=tuple(rows),
+        note="α and γ are the angles of the text: of +y to the shaver's projections on the planes xOy and yOz.",
+    )  # fmt: skip
+
+
+def _profile(source: Source) -> Part | None:
+    result = source.result
+    if result["path"] is None:
+        return None
+    return Part(
+        id="distances",
+        title="Distance to each structure",
+        line="From the surface of endoscope or shaver, the tip at that place of the path.",
+        drawings=(Drawing("Distance, mm, over the way of the tip", profile_drawing(result)),),
+        legend=_legend([name for name in result["details"]["structure_distances_mm"]]),
+    )
+
+
+def _choices(source: Source) -> Part | None:
+    details = source.result["details"]
+    if not details.get("best"):
+        return None
+    rows = []
+    for choice in details["best"].values():
+        key = f"details.candidates.{choice['path']}"
+        bends = len(details["candidates"][choice["path"]]["nodes_mm"]) - 2
+        cells = [
+            or_dash(source.figure(f"{key}.{name}", digits))
+            for name, digits in (
+                ("brain_mm", 2), ("orbit_mm", 2), ("septum_mm", 2), ("turbinate_mm", 2), ("length_mm", 1), ("tissue_voxels", 0),
+                ("roll_deg", 1), ("score", 3),
+            )
+        ]  # fmt: skip
+        rows.append((phrase(str(choice["name"])), *cells, phrase(str(bends))))
+    return Part(
+        id="choices",
+        title="Four best paths",
+        line="Each is the best in its own goal; ties are settled by the weighted sum of the rest.",
+        head=(
+            "Path",
+            "Brain, mm",
+            "Orbit, mm",
+            "Septum, mm",
+            "Turbinate, mm",
+            "Length, mm",
+            "Tissue, voxels",
+            "Roll, °",
+            "F",
+            "Bends",
+        ),
+        rows=tuple(rows),
+        note="F is the weighted sum of the goals on 0 (best of all paths) to 1 (worst). Weights: "
+        + ", ".join(f"{name} {value:.3g}" for name, value in details["weights"].items())
+        + ". Tissue counts soft-tissue and bone voxels inside the channel between start and lesion.",
+    )
+
+
+def _goals(source: Source) -> Part | None:
+    details = source.result["details"]
+    rows = details.get("candidates") or ()
+    if len(rows) < 2:
+        return None
+    kept = sum(row["pareto"] for row in rows)
+    return Part(
+        id="pareto",
+        title="Pareto set",
+        line=f"All {len(rows)} ranked paths, each a line through its goals (0, below: the best of all). {kept} of them, dark, are "
+        "beaten by no other in every goal; the four best are drawn bold.",
+        drawings=(Drawing("Goals of every path, normalised", goals_chart(details)),),
+    )
+
+
+def _shrinkage(source: Source) -> Part:
+    rows = []
+    for k, row in enumerate(source.result["details"]["shrinkage"]):
+        key = f"details.shrinkage.{k}"
+        name = f"{100 * row['amount']:.0f} %" + (" (planned)" if row["planned"] else "")
+        verdict = "feasible" if row["feasible_starts"] else "no way in"
+        cells = (source.need(f"{key}.{n}", d) for n, d in (("feasible_starts", 0), ("septum_mm", 2), ("turbinate_mm", 2)))
+        rows.append((phrase(name), phrase(verdict), *(phrase(cell) for cell in cells)))
+    return Part(
+        id="shrinkage",
+        title="Shrinkage of the mucosa",
+        line="Verdict with the mucosa as it is, half and fully shrunk; displacement is the greatest of the simulation.",
+        head=("Shrunk", "Verdict", "Feasible voxels", "Septum moved, mm", "Turbinate moved, mm"),
+        rows=tuple(rows),
+    )
+
+
+def _labels(source: Source) -> Part:
+    rows = []
+    for k, row in enumerate(source.result["details"]["labels"]):
+        key = f"details.labels.{k}"
+        volume, trust = source.need(f"{key}.volume_ml", 2), source.need(f"{key}.confidence", 2)
+        rows.append((phrase(row["name"].replace("_", " ")), phrase(row["origin"]), phrase(trust), phrase(volume)))
+    return Part(
+        id="structures",
+        title="Structures",
+        line="Proposed from the CT, or brought as a mask, seed or box. Look at the pictures before you trust a proposal.",
+        head=("Structure", "Origin", "Confidence, 0 to 1", "Volume, ml"),
+        rows=tuple(rows),
+        note="A structure can be replaced by --mask NAME=FILE and corrected by --seed or --box.",
+    )
+
+
+__all__ = ["RigidPage", "make_rigid_page"]
