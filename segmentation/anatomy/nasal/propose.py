@@ -166,6 +166,10 @@ class _Proposal:
         else:
             if mask is not None:
                 mask = mask & allowed
+                # A proposal stands back where an earlier one or a mask of the user's lies.
+                brought = (self.upright.turn(self.brought.masks[other]) for other in STRUCTURES if other in self.brought.masks)
+                for taken in (*self.structures.values(), *brought):
+                    mask = mask & ~taken
             if name in self.brought.boxes:
                 inside = self.upright.turn(self.brought.boxes[name])
                 cut = inside & allowed if mask is None or not (mask & inside).any() else mask & inside
