@@ -118,6 +118,8 @@ def find_turbinates(
     tissue = (hu > TISSUE_MIN) & ~septum & ~solid & (height > -UNDER)
     tissue[:, :front] = False
     tissue[:, rear + 1 + round(REAR / float(spacing[1])) :] = False
+    palate = slice(rear + 1 - round(REAR / float(spacing[1])), None)  # soft there, where bone does not bound the floor
+    tissue[:, palate] &= height[:, palate] > 1.0
     sides = {}
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
         lateral = sign * across
