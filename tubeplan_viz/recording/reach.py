@@ -72,17 +72,19 @@ def log_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None
 
 
 def log_colored_wall(sink: Sink, rows: list[Mapping[str, Any]], surface: Surface) -> None:
-    """The wall in the colours of the branches, each vertex that of the branch whose middle line is nearest."""
+    """The wall in the colours of the branches, each face that of the branch whose middle line is nearest."""
     sites = np.concatenate([np.asarray(row["points_mm"], float) for row in rows])
     owner = np.concatenate([np.full(len(row["points_mm"]), k) for k, row in enumerate(rows)])
     nearest = owner[np.asarray(cKDTree(sites).query(surface.vertices)[1])]
-    palette = np.array([(*COLORS[row["verdict"]], 70) for row in rows], dtype=np.uint8)
-    mesh = rr.Mesh3D(
-        vertex_positions=surface.vertices.astype(np.float32),
-        triangle_indices=surface.wall_faces.astype(np.uint32),
-        vertex_colors=palette[nearest],
-    )
-    sink.log(at.WALL, mesh, static=True)
+    verdicts = np.array([list(COLORS).index(row["verdict"]) for row in rows])[nearest][surface.wall_faces[:, 0]]
+    for k, (name, color) in enumerate(COLORS.items()):
+        chosen = surface.wall_faces[verdicts == k]
+        if len(chosen):
+            used, index = np.unique(chosen, return_inverse=True)
+            mesh = rr.Mesh3D(
+                vertex_positions=surface.vertices[used], triangle_indices=index.reshape(-1, 3), albedo_factor=(*color, 90)
+            )
+            sink.log(f"{at.WALL}/{name}", mesh, static=True)
 
 
 def told(row: Mapping[str, Any]) -> str:
@@ -96,8 +98,8 @@ def told(row: Mapping[str, Any]) -> str:
 
 
 def table(document: Mapping[str, Any]) -> str:
-    """All branches as markdown."""
-    lines = ["## Branches", "| # | branch | ⌀ mm | verdict | reached mm | why |", "|--|--|--|--|--|--|"]
+    """All branches as markdown; the viewer of rerun 0.41 ends at the sign for a diameter."""
+    lines = ["## Branches", "| # | branch | diameter mm | verdict | reached mm | why |", "|--|--|--|--|--|--|"]
     for number, row in enumerate(document["branches"]):
         why = row["reason"] or ""
         lines.append(
