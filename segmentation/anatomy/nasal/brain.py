@@ -25,6 +25,8 @@ NECK = 0.08
 """Share of the largest slice below which the spinal canal begins."""
 VOLUME = (900.0, 1800.0)
 """Brain with its fluid spaces, adults, ml."""
+MATTER = (-60.0, 140.0)
+"""Brain, fluid and vessels with noise, without voxels shared with air or bone, HU."""
 BONE_SHARE = 0.25
 """Share of bone in a cell that stops the ball."""
 
@@ -85,7 +87,9 @@ def find_brain(head: Landmarks, *, seed: FloatArray | None = None) -> Brain | No
     cells = solids.grown(core, BALL + float(spacing.max()), spacing) & soft
     cells[: max(int(np.flatnonzero(core.any(axis=(1, 2)))[0] - round(BALL / float(spacing[0]))), 0)] = False
     hu = head.upright.voxels
-    mask = head.coarse.fine(cells, hu.shape) & (hu < head.bone_min) & (hu > head.air_max)
+    mask = head.coarse.fine(cells, hu.shape) & (hu >= MATTER[0]) & (hu <= MATTER[1])
+    # What is left of the cells beyond a thin roof of the sinuses is a sheet of a voxel or two.
+    mask = solids.largest(ndimage.binary_opening(mask, border_value=0) | (mask & _edge(mask.shape)))
     surface = cells & ~ndimage.binary_erosion(cells, border_value=1)
     on_bone = solids.grown(bone, 2.0 * float(spacing.max()), spacing)
     volume = cells.sum(axis=(1, 2))
@@ -108,6 +112,13 @@ def _cells(head: Landmarks) -> tuple[BoolArray, BoolArray]:
     bone: BoolArray = block_mean(hard, head.coarse.factor) >= BONE_SHARE
     soft = ~bone & (head.coarse.hu > head.air_max) & head.hull_cells
     return soft, bone
+
+
+def _edge(shape: tuple[int, ...]) -> BoolArray:
+    """The outermost voxels, which an opening would take from a brain that the image cuts."""
+    inner = np.ones(shape, dtype=bool)
+    inner[1:-1, 1:-1, 1:-1] = False
+    return inner
 
 
 def _above_neck(core: BoolArray) -> BoolArray:
