@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from tubeplan_viz.bench.bronchoscope import bronchoscope
 from tubeplan_viz.bench.centerline import centerline
 from tubeplan_viz.bench.certificate import certificate
 from tubeplan_viz.bench.faults import faults
@@ -11,6 +12,7 @@ from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
 from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.bench.vmtk_line import vmtk_line
 
 BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "paper": paper,
@@ -20,8 +22,10 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "faults": faults,
     "infeasible": infeasible,
     "matrix": matrix,
+    "vmtk": vmtk_line,
     "needle2d": needle2d,
     "needle3d": needle3d,
+    "bronchoscope": bronchoscope,
 }
 
 __all__ = ["BENCHMARKS", "Row"]

@@ -20,6 +20,8 @@ from segmentation.mesh_files import write_ply
 from tubeplan_viz.bench import centerline_methods
 from tubeplan_viz.bench.centerline_methods import METHODS, NEEDS
 from tubeplan_viz.bench.models import Model, bent_cylinder_1
+from tubeplan_viz.bench.peers import SCRIPT as VMTK_SCRIPT
+from tubeplan_viz.bench.peers import VMTK_RUNS_ON, vmtk_python
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bench.trees import TreeModel, airway_tree, renal_tree
 from tubeplan_viz.centerline import trace_centerline, voronoi_graph
@@ -28,6 +30,7 @@ from tubeplan_viz.pipeline import Notify
 
 # Measured once on a 2-core machine: VMTK 1.5.2, raw line, greatest mean error of the three meshes.
 VMTK_ERROR = 0.006
+VMTK_METHOD = "VMTK"
 VMTK = "VMTK 1.5.2, 2 cores, measured before"
 # Away from the ends, where the line leaves the axis for the picked point, and from junctions,
 # where the middle of the lumen lies off all axes.
@@ -73,7 +76,7 @@ def centerline(*, quick: bool, notify: Notify) -> list[Row]:
     """
     rows: list[Row] = []
     for trial in trials(quick=quick):
-        for method in METHODS:
+        for method in (*METHODS, VMTK_METHOD):
             if quick and method not in ("tubeplan", "scikit-image thinning"):
                 continue
             notify(f"{trial.name}, {method}", 0, 0)
@@ -119,17 +122,32 @@ def between_ends(points: FloatArray, model: Model) -> np.ndarray:
     return np.asarray((s > END_LENGTH) & (s < model.length - END_LENGTH))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Timed:
+    """What a method found on one mesh, (n, 3) mm, and what two runs in a process of its own took: s, s, s and MB."""
+
+    points: FloatArray
+    cold: float
+    warm: float
+    whole: float
+    peak: float
+
+
 def method_rows(trial: Trial, method: str) -> list[Row]:
     """Rows of one method on one mesh, run in a process of its own; one row saying so when it is not installed."""
     case = f"{trial.name}: {method}"
+    python = vmtk_python() if method == VMTK_METHOD else sys.executable
+    if python is None:
+        return [Row(case=case, figure="installed (0 no, 1 yes)", ours=0.0, source=f"not installed: {VMTK_RUNS_ON}")]
     if method in NEEDS and find_spec(NEEDS[method]) is None:
         return [Row(case=case, figure="installed (0 no, 1 yes)", ours=0.0, source=f"not installed: {NEEDS[method]}")]
     with TemporaryDirectory() as folder:
         mesh, ends, out = (Path(folder) / name for name in ("mesh.ply", "ends.npy", "out.npz"))
         write_ply(trial.surface, mesh)
         np.save(ends, trial.ends)
+        script = [VMTK_SCRIPT] if method == VMTK_METHOD else [Path(centerline_methods.__file__), method]
         begun = time.perf_counter()
-        command = [sys.executable, "-P", str(centerline_methods.__file__), method, str(mesh), str(ends), str(out)]
+        command = [python, "-P", *map(str, (*script, mesh, ends, out))]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
         except subprocess.TimeoutExpired:
@@ -139,17 +157,22 @@ def method_rows(trial: Trial, method: str) -> list[Row]:
             reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
             return [Row(case=case, figure="failed (exit status)", ours=float(done.returncode), source=reason[:200])]
         with np.load(out) as found:
-            points, cold, warm, peak = found["points"], float(found["cold"]), float(found["warm"]), float(found["peak"])
-    gap = trial.interior_gap(points)
-    inside = 100.0 * float(WallDistance(trial.surface).inside(points).mean())
-    aimed = method == "tubeplan"
+            cold, warm, peak = (float(found[name]) for name in ("cold", "warm", "peak"))
+            timed = Timed(points=found["points"], cold=cold, warm=warm, whole=whole, peak=peak)
+    return timed_rows(case, trial, timed, aimed=method == "tubeplan")
+
+
+def timed_rows(case: str, trial: Trial, timed: Timed, *, aimed: bool) -> list[Row]:
+    """Error, time and memory, with targets where they are aimed at."""
+    gap = trial.interior_gap(timed.points)
+    inside = 100.0 * float(WallDistance(trial.surface).inside(timed.points).mean())
     figures = [
         ("interior error mm, mean", float(gap.mean()), VMTK_ERROR, 0.01),
         ("interior error mm, largest", float(gap.max()), None, 0.03),
-        ("warm, mesh file to lines, CPU s", warm, trial.vmtk_seconds, trial.seconds),
-        ("first run in a process, CPU s", cold, None, None),
-        ("process with two runs, s", whole, None, None),
-        ("peak memory MB", peak, None, PEAK_MEMORY),
+        ("warm, mesh file to lines, CPU s", timed.warm, trial.vmtk_seconds, trial.seconds),
+        ("first run in a process, CPU s", timed.cold, None, None),
+        ("process with two runs, s", timed.whole, None, None),
+        ("peak memory MB", timed.peak, None, PEAK_MEMORY),
     ]
     rows = [Row(case=case, figure="points inside %", ours=inside)]
     if aimed:

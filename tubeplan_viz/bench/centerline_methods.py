@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import BoolArray, FloatArray
+from segmentation.errors import TubeplanError
 from segmentation.mesh import Surface
 from segmentation.mesh_files import read_surface
 from tubeplan_viz.centerline import CenterlineSettings, centerline_tree, trace_centerline, voronoi_graph
@@ -45,10 +46,23 @@ def ours(mesh: Path, ends: FloatArray) -> FloatArray:
 def delaunay(mesh: Path, ends: FloatArray) -> FloatArray:
     """Vertices of the full Voronoi diagram (scipy's Qhull) along the ways of least cost on 1/R, as they are."""
     surface = read_surface(mesh).surface
-    wall = WallDistance(surface)
+    return np.concatenate(delaunay_chains(surface, WallDistance(surface), ends))
+
+
+def delaunay_chains(surface: Surface, wall: WallDistance, ends: FloatArray) -> list[FloatArray]:
+    """The same for each way from the first end, (n, 3) mm without the ends themselves.
+
+    Raises
+    ------
+    TubeplanError
+        If no way leads to one of the ends.
+    """
     graph = voronoi_graph(surface, wall, points=surface.vertices[np.unique(surface.wall_faces)])
     chains = least_cost_chains(graph, wall, ends[0], ends[1:], CenterlineSettings())
-    return np.concatenate([chain.points[1:-1] for chain in chains if chain is not None])
+    found = [chain.points[1:-1] for chain in chains if chain is not None]
+    if len(found) < len(chains):
+        raise TubeplanError(f"the Voronoi diagram joins {len(found)} of {len(chains)} ends to the first, expected all")
+    return found
 
 
 def thinning(mesh: Path, ends: FloatArray) -> FloatArray:
@@ -92,32 +106,15 @@ def skeletor(mesh: Path, ends: FloatArray) -> FloatArray:
     return np.asarray(made.vertices, dtype=float)
 
 
-def vmtk(mesh: Path, ends: FloatArray) -> FloatArray:
-    """Points of VMTK's raw centerlines from the first end to the others."""
-    scripts = import_module("vmtk.vmtkscripts")
-    reader = scripts.vmtkSurfaceReader()
-    reader.InputFileName = str(mesh)
-    reader.Execute()
-    lines = scripts.vmtkCenterlines()
-    lines.Surface = reader.Surface
-    lines.SeedSelectorName = "pointlist"
-    lines.SourcePoints, lines.TargetPoints = ends[0].tolist(), ends[1:].ravel().tolist()
-    lines.AppendEndPoints = 1
-    lines.Execute()
-    found = lines.Centerlines.GetPoints()
-    return np.array([found.GetPoint(number) for number in range(found.GetNumberOfPoints())])
-
-
 METHODS = {
     "tubeplan": ours,
     "scipy Delaunay": delaunay,
     "scikit-image thinning": thinning,
     "kimimaro": kimimaro,
     "skeletor": skeletor,
-    "VMTK": vmtk,
 }
 # Modules that a method needs beyond the project's own.
-NEEDS = {"kimimaro": "kimimaro", "skeletor": "skeletor", "VMTK": "vmtk"}
+NEEDS = {"kimimaro": "kimimaro", "skeletor": "skeletor"}
 
 
 def voxelized(surface: Surface, voxel: float) -> tuple[BoolArray, FloatArray]:

@@ -11,6 +11,7 @@ import pytest
 from tubeplan_viz.bench.centerline import between_ends, method_rows, off_axis, trials
 from tubeplan_viz.bench.centerline_methods import voxelized
 from tubeplan_viz.bench.models import bent_cylinder_1
+from tubeplan_viz.bench.peers import VMTK_RUNS_ON
 from tubeplan_viz.bench.trees import renal_tree
 from tubeplan_viz.geometry import WallDistance
 
@@ -63,12 +64,15 @@ def test_ours_holds_its_targets_on_cylinder_1_in_a_process_of_its_own() -> None:
 
 
 def test_a_peer_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys.modules[method_rows.__module__], "find_spec", lambda name: None)
-    (row,) = method_rows(trials(quick=True)[0], "VMTK")
-    assert row.figure.startswith("installed")
-    assert row.ours == 0.0
-    assert row.source == "not installed: vmtk"
-    assert row.holds is None
+    module = sys.modules[method_rows.__module__]
+    monkeypatch.setattr(module, "find_spec", lambda name: None)
+    monkeypatch.setattr(module, "vmtk_python", lambda: None)
+    trial = trials(quick=True)[0]
+    for method, said in (("kimimaro", "not installed: kimimaro"), ("VMTK", f"not installed: {VMTK_RUNS_ON}")):
+        (row,) = method_rows(trial, method)
+        assert row.figure.startswith("installed")
+        assert row.ours == 0.0
+        assert row.source == said
 
 
 def test_a_method_that_fails_says_why() -> None:
