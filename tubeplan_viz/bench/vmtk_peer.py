@@ -11,17 +11,18 @@ from __future__ import annotations
 import resource
 import sys
 import time
+from importlib import import_module
 
 import numpy as np
-from vmtk import vmtkscripts
 
 
 def lines_of(mesh: str, ends: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Points (n, 3) in mm and radii (n,) of the raw line from the root to each other end, from the mesh file on."""
-    reader = vmtkscripts.vmtkSurfaceReader()
+    scripts = import_module("vmtk.vmtkscripts")
+    reader = scripts.vmtkSurfaceReader()
     reader.InputFileName = mesh
     reader.Execute()
-    search = vmtkscripts.vmtkCenterlines()
+    search = scripts.vmtkCenterlines()
     search.Surface = reader.Surface
     search.SeedSelectorName = "pointlist"
     search.SourcePoints, search.TargetPoints = ends[0].tolist(), ends[1:].ravel().tolist()
