@@ -14,7 +14,8 @@ from tubeplan_viz.needle.insertion import insert
 from tubeplan_viz.needle.kinematics import insertion_pose, push
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings, monte_carlo
 from tubeplan_viz.needle.obstacles import Scene, Sphere
-from tubeplan_viz.needle.planar import PlanarProblem, PlanarSettings, best, close, plan_planar, sides_of, weigh
+from tubeplan_viz.needle.planar import PlanarProblem, PlanarSettings, best, plan_planar
+from tubeplan_viz.needle.planar_shapes import close, sides_of, weigh
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
 from tubeplan_viz.pipeline import Notify, silent

@@ -54,8 +54,8 @@ class _Outputs:
         return self.at(y * self.scale)[0][part].copy()
 
     def slope(self, y: FloatArray, part: slice) -> FloatArray:
-        """The same part's derivatives by scaled unknowns, as a copy."""
-        return np.asarray(self.at(y * self.scale)[1][part] * self.scale)
+        """The same part's derivatives by scaled unknowns, as a copy in C order: SLSQP takes any array for one."""
+        return np.ascontiguousarray(self.at(y * self.scale)[1][part] * self.scale)
 
     def at(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Values (q,) and derivatives (q, d); not to be written to."""
