@@ -29,7 +29,7 @@ from tubeplan_viz.needle.planar_shapes import FORMS, PlanarProblem, PlanarSettin
 
 __all__ = ["FORMS", "PlanarPath", "PlanarProblem", "PlanarSettings", "best", "plan_planar"]
 
-SHARPENED = {1: 0, 2: 0, 3: 0, 4: 2}  # shapes of each form that get the smooth finish, by control degree
+SHARPENED = {1: 0, 2: 0, 3: 0, 4: 1}  # shapes of each form that get the smooth finish, by control degree
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

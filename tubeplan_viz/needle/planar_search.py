@@ -176,7 +176,7 @@ def sharpened(problem: PlanarProblem, shape: Shapes) -> Shapes:
         bounds=[(s.piece_min, high) for high in highest],
         constraints=[{"type": "ineq", "fun": lambda x: rows(x[None])[0, 1:], "jac": lambda x: slopes(x)[1:]}],
         method="SLSQP",
-        options={"maxiter": 25, "ftol": 1e-8},
+        options={"maxiter": 15, "ftol": 1e-7},
     )
     if not np.isfinite(found.x).all():
         return shape
