@@ -15,9 +15,13 @@ from tubeplan_viz.bench.axes import Axis
 
 Radius = Callable[[FloatArray], FloatArray]
 
-# Share of a facet's normal along the cap's above which a rim facet of a marching-cubes
-# mesh is cap: the one-voxel chamfer stands at 45 degrees and would bind as wall.
-RIM_COSINE = 0.6
+# A facet of a marching-cubes mesh within a voxel and a half of an end is cap, not wall, where its normal leans towards the
+# cap's by more than this beyond the lean of the tube's own wall there: it belongs to the chamfer between the two, cuts
+# up to 0.3 mm off the rim and would bind as wall. Facets of the wall itself scatter by less than 0.1. So is a facet with
+# a corner that the chamfer has moved inwards by more than a tenth of a voxel.
+RIM_COSINE = 0.15
+RIM_CUT = 0.1
+RIM_DEPTH = 1.5
 
 
 def constant_radius(radius: float) -> Radius:
@@ -136,7 +140,7 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
             if flat[end]:
                 near = beyond > -2.0
                 tube[near] = np.maximum(tube[near], (grid[near] - point) @ normal)
-                ends.append((point, normal, float(radius(np.array([0.0, axis.length]))[end])))
+                ends.append((point, normal, float(radius(np.array([0.0, axis.length]))[end]), lean(axis, radius, end)))
             else:
                 past = (beyond > 0.0) & np.isfinite(distance)
                 tube[past] = np.linalg.norm(grid[past] - point, axis=1) - float(radius(np.array([0.0, axis.length]))[end])
@@ -149,12 +153,12 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
         faces, normals = faces[:, ::-1], -normals
     areas = np.linalg.norm(normals, axis=1)
     labels, caps = np.full(len(faces), -1), []
-    for number, (point, normal, r) in enumerate(ends):
+    for number, (point, normal, r, leaning) in enumerate(ends):
         depth, offset = (corners - point) @ normal, np.linalg.norm(corners - point, axis=2)
         cap = (
-            (np.abs(depth).max(axis=1) < 1.05 * voxel)
+            (np.abs(depth).max(axis=1) < RIM_DEPTH * voxel)
             & (offset.max(axis=1) < r + voxel)
-            & (normals @ normal > RIM_COSINE * areas)
+            & ((normals @ normal > (leaning + RIM_COSINE) * areas) | (offset.min(axis=1) < r - RIM_CUT * voxel))
         )
         labels[cap] = number
         # Marching cubes work in single precision: put the flat part exactly on its plane.
@@ -162,6 +166,14 @@ def marching_surface(axes: list[tuple[Axis, Radius, tuple[bool, bool]]], *, voxe
         vertices[disc] -= ((vertices[disc] - point) @ normal)[:, None] * normal
         caps.append(Cap(f"C{number + 1}", "flat end", point, normal, 0.5 * float(areas[cap].sum())))
     return Surface(vertices, faces.astype(np.int64), labels, tuple(caps), "mesh")
+
+
+def lean(axis: Axis, radius: Radius, end: int) -> float:
+    """Cosine between the wall's outward normal and the cap's at an end (0 or 1): positive where the tube narrows towards it."""
+    step = 1e-3 * axis.length
+    here, inner = radius(np.array([0.0, step] if end == 0 else [axis.length, axis.length - step]))
+    slope = float(inner - here) / step
+    return slope / float(np.hypot(1.0, slope))
 
 
 def _grid_near(axis: Axis, within: float, lower: FloatArray, voxel: float, count: IntArray) -> IntArray:
