@@ -14,10 +14,12 @@ from tubeplan_viz.needle.kinematics import (
     Controls,
     Pose,
     bend,
+    cycled,
     duty_cycle,
     helix,
     insertion_pose,
     planar_pose,
+    poses_along,
     push,
     twist,
 )
@@ -175,3 +177,34 @@ def test_a_frame_that_is_no_rotation_is_refused() -> None:
         Pose(np.zeros(3), np.diag([1.0, 1.0, -1.0]))
     with pytest.raises(CaseError, match="negative length"):
         Controls(np.zeros(1), np.array([-1.0]), np.array([0.02]))
+
+
+def test_many_short_revolutions_hold_the_mean_curvature_to_first_order() -> None:
+    """Screws and arcs in turn, each exact, against one arc of the mean curvature: the error falls with the cycle."""
+    controls = Controls(np.array([0.3, 1.0]), np.array([40.0, 60.0]), np.array([0.012, 0.005]))
+    end = push(ORIGIN, controls).end_pose()
+    cycles = np.array([2.0, 1.0, 0.5, 0.25])
+    off = [np.linalg.norm(cycled(ORIGIN, controls, 0.02, cycle=cycle).position - end.position) for cycle in cycles]
+    order = np.polyfit(np.log(cycles), np.log(off), 1)[0]
+    assert order == pytest.approx(1.0, abs=0.02)
+    assert off[-1] < 0.1
+
+
+def test_a_cycle_that_never_or_always_spins_is_an_arc_or_a_line() -> None:
+    arc = Controls(np.array([0.7]), np.array([50.0]), np.array([0.02]))
+    assert np.abs(cycled(ORIGIN, arc, 0.02, cycle=1.0).position - push(ORIGIN, arc).tips).max() < 1e-9
+    line = Controls(np.array([0.7]), np.array([50.0]), np.array([0.0]))
+    # Within one cycle the tip turns aside by no more than kappa times the cycle.
+    off = np.linalg.norm(cycled(ORIGIN, line, 0.02, cycle=0.1).position - push(ORIGIN, line).tips)
+    assert off < 0.02 * 50.0 * 0.1
+
+
+def test_poses_along_a_path_are_those_of_its_pieces_whatever_the_ratio() -> None:
+    rng = np.random.default_rng(3)
+    controls = Controls(rng.uniform(-3, 3, 6), rng.uniform(1, 30, 6), rng.uniform(0, 0.03, 6))
+    found = poses_along(ORIGIN, controls, np.array([1.0, 1.1]))
+    for k, ratio in enumerate((1.0, 1.1)):
+        arcs = push(ORIGIN, Controls(controls.turns, controls.lengths, ratio * controls.curvatures))
+        assert np.abs(found[:, k, :3, 3] - arcs.ends).max() < 1e-9
+        assert np.abs(found[:, k, :3, 2] - arcs.end_tangents).max() < 1e-9
+        assert np.abs(found[:, k, :3, 1] + arcs.end_normals).max() < 1e-9

@@ -10,19 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from segmentation.errors import CaseError
+from tubeplan_viz.bench.needle_grid import shorter_path
 from tubeplan_viz.needle.kinematics import push
 from tubeplan_viz.needle.obstacles import Polygon, Scene, Sphere
-from tubeplan_viz.needle.planar import (
-    FORMS,
-    PlanarPath,
-    PlanarProblem,
-    PlanarSettings,
-    best,
-    close,
-    plan_planar,
-    sides_of,
-    weigh,
-)
+from tubeplan_viz.needle.planar import FORMS, PlanarPath, PlanarProblem, PlanarSettings, best, plan_planar
+from tubeplan_viz.needle.planar_shapes import close, sides_of, weigh
 
 
 def circle(y: float, z: float, radius: float) -> Sphere:
@@ -117,6 +109,23 @@ def grid(case: PlanarProblem, sides: tuple[int, ...]) -> np.ndarray:
         return np.zeros((1, 0))
     axes = [np.linspace(1.0, 1.4 * case.distance, {1: 20000, 2: 260}[len(sides)]) for _ in sides]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(sides))
+
+
+def test_no_form_of_four_pieces_has_a_shorter_path_that_brute_force_finds() -> None:
+    rng = np.random.default_rng(11)
+    scene = Scene(tuple(circle(rng.uniform(-30, 30), rng.uniform(25, 70), rng.uniform(4, 11)) for _ in range(4)))
+    case = problem(scene, (float(rng.uniform(-15, 15)), 95.0), safety=1.5)
+    for path in plan_planar(case):
+        shorter = shorter_path(case, path.form, path.length, np.random.default_rng(3))
+        assert np.isinf(shorter) or (path.feasible and path.length <= shorter * 1.001)
+
+
+def test_brute_force_finds_a_path_that_is_not_the_shortest() -> None:
+    """A planner that gave a path 0.5 % too long would not pass: the grid finds the shorter one."""
+    case = problem(PRINTED, (0.0, 90.0))
+    for path in plan_planar(case):
+        if path.degree == 4:
+            assert shorter_path(case, path.form, 1.005 * path.length, np.random.default_rng(0)) < 1.003 * path.length
 
 
 @given(st.floats(0.0, 2.0 * np.pi), st.integers(0, 3))

@@ -138,3 +138,12 @@ def test_places_and_settings_that_cannot_be_are_refused() -> None:
         problem((0.0, 0.0, 0.0))
     with pytest.raises(CaseError, match="pieces is 1, expected 2 to 12"):
         NeedleSettings(pieces=1)
+
+
+def test_with_duty_cycle_a_free_target_ahead_is_reached_straight() -> None:
+    free = SpatialProblem(Pose(np.zeros(3), np.eye(3)), np.array([0.0, 0.0, 100.0]), Scene(()), NeedleSettings(duty_cycle=True))
+    path = plan_spatial(free, front=False)
+    always = plan_spatial(problem((0.0, 0.0, 100.0), Scene(())), front=False)
+    assert path.length == pytest.approx(100.0, abs=1e-3)  # the polish stops at a relative gain of 1e-4 of its scale
+    assert always.length > 100.3  # a needle that always bends cannot
+    assert path.error < 1e-6
