@@ -2,7 +2,8 @@
 
 Strategy: in each sagittal slice near the nose the skin is followed from its foremost point downwards, and backwards
 where below is air, until both are air. There the front wall of a nostril ends; where there is no nostril the walk runs
-out of the image. From that front edge the nearest skin with air above it, backwards and downwards, is the rear edge [1]_.
+out of the image, or past the lip. From that front edge the nearest skin with air above it, backwards and downwards, is the
+rear edge [1]_.
 Two cases that the text leaves open: a tip that hangs lower than the columella ends the walk too; there the segment
 between the edges closes no pocket of air. And beside a traced slice the roof of a nostril may run into its rear wall, so
 that the walk goes all through it and out below; there the front edge is where the walk turned back.
@@ -25,6 +26,8 @@ REACH = 25.0
 """Half the width in which nostrils are looked for about the tip, mm: half of a wide nose and the error of its middle."""
 WINDOW = (40.0, 25.0)
 """How far below and above the tip a slice's foremost skin may lie, mm."""
+BELOW = 30.0
+"""How far below the tip the nose may reach, mm: farther down the walk has left it for lip and chin."""
 OPENING = 35.0
 """Longest nostril, mm."""
 POCKET = 10.0
@@ -90,6 +93,7 @@ def trace_nostrils(skin: BoolArray, spacing: FloatArray, *, tip: IntArray) -> Tr
     """
     reach = int(np.ceil(REACH / spacing[2]))
     first, last = max(int(tip[2]) - reach, 0), min(int(tip[2]) + reach, skin.shape[2] - 1)
+    floor = max(int(tip[0] - BELOW / spacing[0]), 0)
     found: dict[int, tuple[IntArray, IntArray]] = {}
     ledges: dict[int, tuple[IntArray, IntArray]] = {}
     for column in range(first, last + 1):
@@ -97,7 +101,7 @@ def trace_nostrils(skin: BoolArray, spacing: FloatArray, *, tip: IntArray) -> Tr
         start = _foremost(tissue, spacing, tip)
         if start is None:
             continue
-        front, ledge = _walk(tissue, *start, ledge=LEDGE / float(spacing[1]))
+        front, ledge = _walk(tissue, *start, floor=floor, ledge=LEDGE / float(spacing[1]))
         for place, kept in ((front, found), (ledge, ledges)):
             rear = None if place is None else _rear(tissue, spacing, place)
             if place is not None and rear is not None and _closes(tissue, spacing, place, rear):
@@ -123,19 +127,19 @@ def _foremost(tissue: BoolArray, spacing: FloatArray, tip: IntArray) -> tuple[in
     return low + int(first.argmin()), int(first.min())
 
 
-def _walk(tissue: BoolArray, z: int, y: int, *, ledge: float) -> tuple[IntArray | None, IntArray | None]:
+def _walk(tissue: BoolArray, z: int, y: int, *, floor: int, ledge: float) -> tuple[IntArray | None, IntArray | None]:
     """Down along the skin, and back where below is air.
 
     Returns
     -------
     end : [up, back] or None
-        The lowest point, where back and below are air; None where the image ends first.
+        The lowest point, where back and below are air; None where the walk comes down to `floor` first.
     turn : [up, back] or None
         Where the walk first went back by more than `ledge` pixels in one row.
     """
     turn: IntArray | None = None
     since = y
-    while z > 0:
+    while z > floor:
         if tissue[z - 1, y]:
             z, since = z - 1, y
         elif y + 1 < tissue.shape[1] and tissue[z, y + 1]:

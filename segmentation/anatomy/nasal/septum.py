@@ -170,10 +170,16 @@ def lower_end(up: IntArray, back: IntArray) -> tuple[float, float]:
     up, back : (n,) int array
         The lines across the head that meet the septum.
     """
-    heights = np.quantile(up, LOW)
-    low = (up >= heights[0]) & (up <= heights[1])
-    ends = [back[low & (up == height)].max() for height in np.unique(up[low])]
-    return float(heights[1]), float(np.median(ends))
+    # The head may be tilted: heights are taken above a line along the septum's lower edge, without the columella.
+    places = np.unique(back)
+    lowest = np.array([up[back == place].min() for place in places])
+    rear = places >= np.quantile(back, 0.25)
+    slope = float(np.polyfit(places[rear], lowest[rear], 1)[0]) if np.count_nonzero(rear) > 2 else 0.0
+    level = np.rint(up - slope * back).astype(int)
+    first, last = np.quantile(level, LOW)
+    low = (level >= first) & (level <= last)
+    choana = float(np.median([back[low & (level == height)].max() for height in np.unique(level[low])]))
+    return float(last + slope * choana), choana
 
 
 def _before_sphenoid(
