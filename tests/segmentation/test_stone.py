@@ -26,7 +26,7 @@ def ball(radius: float, core: float, around: float, *, noise: float = 0.0) -> Vo
 
 @pytest.mark.parametrize(("radius", "core", "around", "noise"), [(5.0, 1100.0, 40.0, 0.0), (4.0, 900.0, 350.0, 50.0)])
 def test_a_ball_has_the_volume_size_and_density_it_was_made_with(radius: float, core: float, around: float, noise: float) -> None:
-    stone = grow_stone(ball(radius, core, around, noise=noise), tuple(CENTER + [0.9, 0.0, -0.8]))
+    stone = grow_stone(ball(radius, core, around, noise=noise), tuple(CENTER + np.array([0.9, 0.0, -0.8])))
     # Voxels whose centre lies inside: their count scatters by about the square root of those on the surface, under 5 %.
     assert stone.volume_mm3 == pytest.approx(4.0 / 3.0 * np.pi * radius**3, rel=0.05)
     # From corner to corner of voxels: up to a voxel's diagonal more than the ball.

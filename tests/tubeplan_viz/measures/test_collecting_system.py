@@ -14,7 +14,9 @@ from segmentation.surface import SurfaceSettings, lumen_surface
 from segmentation.synthetic import CollectingSystem, UrographySettings, collecting_system, urography
 from segmentation.volume import Volume
 from tubeplan_viz.cases.measures import MeasureCase
-from tubeplan_viz.measures import Lumen, StoneFacts, UrinaryMeasures, UrinarySettings, stone_facts, urinary_measures
+from tubeplan_viz.centerline import Centerline
+from tubeplan_viz.measures import Lumen, StoneFacts, UrinaryMeasures, UrinarySettings, stone_facts
+from tubeplan_viz.measures.urinary import angle_measures, ureter_place
 from tubeplan_viz.pipeline import grow_tree
 from tubeplan_viz.pipeline.measures import measured_urinary
 
@@ -139,11 +141,16 @@ def test_the_least_diameter_of_the_ureter_is_that_of_the_exact_tree(found: Found
     assert found.value("ureter_diameter_min_mm") == pytest.approx(truth.ureter_least, abs=WIDTH_MM)
 
 
-def test_a_level_beyond_the_image_is_not_computable_and_says_so(found: Found) -> None:
-    measures = urinary_measures(found.lumen, UrinarySettings(ureter_level=140.0)).measures
-    lacking = [m for m in measures if m.key.startswith("infundibulopelvic_angle")]
-    assert lacking
-    assert all(m.value is None and "less than 140 mm" in m.reason for m in lacking)
+def test_a_level_beyond_the_ureters_end_is_not_computable_and_says_so() -> None:
+    trunk = Centerline(np.column_stack([np.zeros(31), np.zeros(31), np.arange(-30.0, 1.0)]), np.full(31, 2.0))
+    place = ureter_place(trunk, np.zeros(3), 12.5)
+    assert place is not None
+    np.testing.assert_allclose(place, [0.0, 0.0, -12.5], atol=1e-12)
+    level = ureter_place(trunk, np.zeros(3), 40.0)
+    assert level is None
+    lacking = angle_measures("LPS", np.zeros(3), level, np.array([0.0, 0.0, 1.0]), UrinarySettings(), "lower infundibulum")
+    assert [m.value for m in lacking] == [None, None]
+    assert all("less than 40 mm" in m.reason for m in lacking)
 
 
 def test_nothing_is_known_of_scores_without_stones(found: Found) -> None:
