@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubeplan_viz.bench.centerline import between_ends, method_rows, off_axis, trials
+from tubeplan_viz.bench.centerline import Timed, between_ends, method_rows, off_axis, timed_rows, trials
 from tubeplan_viz.bench.centerline_methods import voxelized
 from tubeplan_viz.bench.models import bent_cylinder_1
 from tubeplan_viz.bench.peers import VMTK_RUNS_ON
@@ -81,3 +81,13 @@ def test_a_method_that_fails_says_why() -> None:
     (row,) = method_rows(outside, "tubeplan")
     assert row.figure == "failed (exit status)"
     assert "lies in no inscribed sphere" in row.source
+
+
+def test_a_line_that_breaks_off_near_an_end_is_shown_without_an_error_of_its_own() -> None:
+    trial = trials(quick=True)[0]
+    broken = Timed(points=trial.ends[:1] + np.array([[0.0, 1.0, 0.0]]), cold=1.0, warm=1.0, whole=2.0, peak=100.0)
+    rows = {row.figure: row for row in timed_rows("peer", trial, broken, aimed=False)}
+    assert rows["points away from ends and junctions"].ours == 0
+    assert not any("interior error" in figure for figure in rows)
+    # Of ours that would be a failure.
+    assert timed_rows("ours", trial, broken, aimed=True)[0].holds is False
