@@ -274,12 +274,15 @@ def _wall(branches: list[AirwayBranch], voxel: float) -> Surface:
 
 
 def _with_cap(points: FloatArray, faces: IntArray, voxel: float) -> Surface:
-    """The mesh with the flat upper end of the trachea as its cap; its rim's chamfer of one voxel belongs to it."""
+    """The mesh with the flat upper end of the trachea as its cap; its rim's chamfer of one voxel is made part of it."""
     corners = points[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     size = np.linalg.norm(normals, axis=1)
     # Facets that look up, not to the side, within a voxel of the plane.
     cap = (corners[:, :, 2].min(axis=1) > -1.05 * voxel) & (normals[:, 2] > 0.6 * size)
-    area = float(0.5 * size[cap].sum())
+    flat = points.copy()
+    flat[np.unique(faces[cap]), 2] = 0.0  # the chamfer is pressed flat: the cap lies in its plane and meets the wall in a rim
+    corners = flat[faces[cap]]
+    area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
     found = Cap("C1", "flat end", np.zeros(3), np.array([0.0, 0.0, 1.0]), area)
-    return Surface(points, faces, np.where(cap, 0, -1), (found,), "mesh")
+    return Surface(flat, faces, np.where(cap, 0, -1), (found,), "mesh")
