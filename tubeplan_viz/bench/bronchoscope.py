@@ -30,6 +30,7 @@ from tubeplan_viz.pipeline import Notify, grow_tree
 TEXT = "Guo et al. 2022"
 RUNS, QUICK_RUNS, QUICK_DYNAMIC = 50, 10, 2
 ASIDE, ASKEW = 1.0, np.radians(2.0)
+INWARD = 0.5  # mm; on the cap itself a step aside may be a step out
 GOAL = "right apical segment"
 BEND_DEGREES = (15, 30, 45, 60, 75, 90)
 PLAIN_PUSHES = 400
@@ -105,7 +106,8 @@ def set_in(entrance: Entrance, rng: np.random.Generator) -> Entrance:
     aside = rng.uniform(-ASIDE, ASIDE, 2)
     lean = rng.uniform(-ASKEW, ASKEW, 2)
     direction = pose[:3, 2] + np.tan(lean[0]) * pose[:3, 0] + np.tan(lean[1]) * pose[:3, 1]
-    return replace(entrance, pose=pose_along(pose[:3, 3] + aside[0] * pose[:3, 0] + aside[1] * pose[:3, 1], direction))
+    begin = pose[:3, 3] + INWARD * pose[:3, 2]
+    return replace(entrance, pose=pose_along(begin + aside[0] * pose[:3, 0] + aside[1] * pose[:3, 1], direction))
 
 
 def trials(method: str, airway: AirwayTree, target: Target, runs: int, notify: Notify) -> list[Trial]:

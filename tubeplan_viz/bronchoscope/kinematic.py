@@ -24,7 +24,7 @@ RIM = 16
 SPACING = 1.0
 BEND_STEP = 0.12  # rad of bend between two places of a move that are looked at
 FIRST_MEASURED, NEXT_MEASURED = 13, 24
-FAR = 2.0  # mm; clearances above it need no more than a lower bound
+FAR = 1.0  # mm from the robot's surface; clearances above it need no more than a lower bound
 NO_FORCE = np.zeros(0)
 NO_CONTACT = np.zeros((0, 3))
 
@@ -87,11 +87,11 @@ class KinematicMover:
     entrance : (4, 4) float array
         Pose in the middle of the trachea's upper end, third column into the lumen.
     far : float, mm
-        Clearances from here on are lower bounds.
+        Clearances of the robot's surface from here on are lower bounds.
     """
 
     def __init__(self, wall: WallDistance, robot: Robot, entrance: FloatArray, *, far: float = FAR) -> None:
-        self._wall, self._robot, self._entrance, self._far = wall, robot, entrance, far
+        self._wall, self._robot, self._entrance, self._far = wall, robot, entrance, robot.radius + far
 
     def start(self) -> Step:
         """The robot straight, its proximal section's base at the entrance."""
@@ -183,7 +183,7 @@ class KinematicMover:
         )
 
 
-def least_clearance(wall: WallDistance, points: FloatArray, far: float = FAR) -> float:
+def least_clearance(wall: WallDistance, points: FloatArray, far: float) -> float:
     """Least signed distance to the wall of a cloud of points, mm: exact below `far`, else a lower bound not below it.
 
     The distance falls by no more than the way walked inside a ball that holds no surface, so a few measured points

@@ -26,6 +26,7 @@ from tubeplan_viz.bronchoscope.steering import AIM_ROUNDS, active_shares, advanc
 from tubeplan_viz.geometry import WallDistance
 
 AWAY_ROUNDS, AWAY_MARGIN = 4, 0.15
+SAG_NOTICED = 0.1  # mm; interpolation between the body's places is off by less
 AT_GOAL = 0.03  # mm
 ROOM_MIN = 0.3  # mm; beside the guide, for its weight where the lumen is hardly wider than the robot
 
@@ -186,6 +187,17 @@ def plan_segmented(
     return _Growth(mover, robot, guide, stages, settings or PlannerSettings(), wall, rng, foresee, watch).run()
 
 
+def sagged(step: Step, robot: Robot) -> FloatArray:
+    """How far the active sections' places lie from those of ideal arcs at the same base and bends, (m, 3) mm."""
+    body = step.body
+    left = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(body[::-1], axis=0), axis=1))])
+    wanted = robot.active_length * (1.0 - active_shares(robot))
+    real = np.column_stack([np.interp(wanted, left, column) for column in body[::-1].T])
+    ideal = active_points(robot, step.base, bends_of(step))[0]
+    off = real - ideal
+    return np.asarray(off) if float(np.linalg.norm(off, axis=1).max()) > SAG_NOTICED else np.zeros_like(off)
+
+
 class _Growth:
     """One growing tree."""
 
@@ -344,12 +356,15 @@ class _Growth:
             room[-1] = AT_GOAL  # the tip itself must end on the goal
         direction = line[-1] - line[-3]
         direction = direction / np.linalg.norm(direction)
+        # Weight, contact and slack hinges move the real sections off their ideal arcs: as much is expected after the push.
+        sag = sagged(step, robot)
+        line = line - sag
         wanted, base = bends, step.base
         for _ in range(AIM_ROUNDS):
             base = advanced(step.base, robot, bends, wanted, push)
             wanted = fitted(base, robot, wanted, line, room, direction)
         for _ in range(AWAY_ROUNDS):
-            points, _ = active_points(robot, base, wanted)
+            points = active_points(robot, base, wanted)[0] + sag
             gap, _, foot = self.wall.nearest(points)
             short = robot.radius + AWAY_MARGIN - gap
             if short.max() <= 0.0:

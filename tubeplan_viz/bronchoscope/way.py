@@ -22,6 +22,8 @@ from tubeplan_viz.centerline import Centerline, even_points
 
 # A robot with contacts lies on the wall; deeper than this its body is out of the lumen (the simulator's leak bound), mm.
 LEAK = 0.3
+# Body clearance asked of the kinematic plan before a dynamic one, mm, and the samples it is tried for.
+ROOMY, ROOMY_SAMPLES = 0.2, 40
 # Over the last millimetres the guide leaves the middle for a target beside it.
 LAST_BEND = 8.0
 
@@ -82,16 +84,17 @@ def plan_way(
     line = airway.line_to(target.branch, target.depth, begin=entrance.offset)
     guide = towards(make_guide(line, robot), target.point)
     mover = KinematicMover(airway.wall, robot, entrance.pose)
-    first = plan_segmented(
-        mover,
-        robot,
-        guide,
-        stages_on(airway, entrance, target, guide, robot),
-        settings,
-        wall=airway.wall,
-        rng=rng,
-        watch=watch if simulator is None else None,
-    )
+    stages = stages_on(airway, entrance, target, guide, robot)
+
+    def foreplan(margin: float, samples: int) -> RobotPlan:
+        asked = replace(settings, body_margin=margin, samples_max=samples)
+        seen = watch if simulator is None else None
+        return plan_segmented(mover, robot, guide, stages, asked, wall=airway.wall, rng=rng, watch=seen)
+
+    # What is to guide a robot with weight keeps more room where it can.
+    first = foreplan(ROOMY, ROOMY_SAMPLES) if simulator is not None else foreplan(settings.body_margin, settings.samples_max)
+    if simulator is not None and not first.reached:
+        first = foreplan(settings.body_margin, settings.samples_max)
     route = airway.route_to(target.branch)
     if simulator is None:
         exact = replayed(KinematicMover(airway.wall, robot, entrance.pose, far=np.inf), first)
