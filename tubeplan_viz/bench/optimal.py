@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -14,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tubeplan_viz.bench.models import Model, bent_cylinder_1, variant_1, variant_2
+from tubeplan_viz.bench.optimal_anatomies import anatomy_rows
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.pipeline import Notify
@@ -29,6 +32,19 @@ SHARE = 0.99
 NOISE_LOSS = 0.005
 MARCHING_LOSS = 0.05
 CLEARANCE_MIN = 1.5
+COLD_ALLOWED = 5.0
+# Prints processor seconds: those of the model and its wall, of a second solve, and of the whole process.
+COLD = """
+import time
+from tubeplan_viz.bench.optimal import CLEARANCE_MIN, posed, solve
+from tubeplan_viz.bench.models import bent_cylinder_1
+from tubeplan_viz.plan import Limits
+begun = time.process_time()
+problem = posed(bent_cylinder_1(), Limits(curvature_max=0.1, clearance_min=CLEARANCE_MIN))
+model = time.process_time() - begun
+solve(problem)
+print(model, solve(problem).processor_seconds, time.process_time())
+"""
 MEASURED: tuple[tuple[str, Callable[..., Model], float, float], ...] = (
     ("cylinder 1", bent_cylinder_1, 0.100, 2.998),
     ("variant 1", variant_1, 0.100, 2.989),
@@ -44,6 +60,7 @@ class Solved:
 
     certificate: Certificate
     seconds: float
+    processor_seconds: float
 
 
 def optimal(*, quick: bool, notify: Notify) -> list[Row]:
@@ -55,7 +72,9 @@ def optimal(*, quick: bool, notify: Notify) -> list[Row]:
         limits = Limits(curvature_max=curvature, clearance_min=CLEARANCE_MIN)
         rows += model_rows(case, posed(build(), limits), best, QUICK_SEEDS if quick else SEEDS)
         rows.append(marching_row(case, posed(build(meshing="marching_cubes"), limits), best))
-    return rows
+    notify("cold start", 0, 0)
+    rows.append(cold_row())
+    return rows + anatomy_rows(quick=quick, notify=notify)
 
 
 def posed(model: Model, limits: Limits) -> TubeProblem:
@@ -65,10 +84,10 @@ def posed(model: Model, limits: Limits) -> TubeProblem:
 
 def solve(problem: TubeProblem) -> Solved:
     """Solve and prove."""
-    begun = time.perf_counter()
+    wall, own = time.perf_counter(), time.process_time()
     last = deque(tube_rounds(problem), maxlen=1)[0]
     certificate = certify(last.curve, problem.wall, problem.limits)
-    return Solved(certificate=certificate, seconds=time.perf_counter() - begun)
+    return Solved(certificate=certificate, seconds=time.perf_counter() - wall, processor_seconds=time.process_time() - own)
 
 
 def noisy(problem: TubeProblem, seed: int) -> TubeProblem:
@@ -108,11 +127,12 @@ def model_rows(case: str, problem: TubeProblem, best: float, seeds: int) -> list
         ),
         Row(
             case=case,
-            figure="solve and proof s, warm",
-            ours=clean.seconds,
+            figure="solve and proof, processor s, warm",
+            ours=clean.processor_seconds,
             target=f"at most {SECONDS_ALLOWED:g}",
-            holds=clean.seconds <= SECONDS_ALLOWED,
+            holds=clean.processor_seconds <= SECONDS_ALLOWED,
         ),
+        Row(case=case, figure="solve and proof, wall clock s, warm", ours=clean.seconds),
         Row(
             case=f"{case}, {seeds} noisy starts",
             figure="loss of least clearance %, largest",
@@ -131,15 +151,28 @@ def model_rows(case: str, problem: TubeProblem, best: float, seeds: int) -> list
 
 
 def marching_row(case: str, problem: TubeProblem, best: float) -> Row:
-    """The marching-cubes mesh, whose chamfered rim can bind at the ends: no path beats its own ends."""
-    reachable = min(best, float(problem.wall.distance(np.array([problem.start, problem.goal])).min()))
+    """The marching-cubes mesh of the same model."""
     proved = solve(problem).certificate.clearance_lower_bound
     return Row(
         case=f"{case}, marching cubes",
         figure="least clearance mm, proved",
         ours=proved,
-        reference=reachable,
-        source=f"{SOURCE}, or the ends'",
+        reference=best,
+        source=SOURCE,
         target=f"within {MARCHING_LOSS:g} mm",
-        holds=proved >= reachable - MARCHING_LOSS,
+        holds=proved >= best - MARCHING_LOSS,
+    )
+
+
+def cold_row() -> Row:
+    """What the first solve of a fresh process takes more than the second one in it, imports included."""
+    answer = subprocess.run([sys.executable, "-c", COLD], capture_output=True, text=True, check=True)
+    model, warm, whole = (float(value) for value in answer.stdout.split())
+    extra = whole - model - 2.0 * warm
+    return Row(
+        case="first command of a fresh process",
+        figure="processor s more than warm",
+        ours=extra,
+        target=f"at most {COLD_ALLOWED:g}",
+        holds=extra <= COLD_ALLOWED,
     )

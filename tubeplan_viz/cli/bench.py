@@ -14,12 +14,16 @@ from tubeplan_viz.bench import BENCHMARKS
 from tubeplan_viz.cli.options import Json, Quiet
 from tubeplan_viz.cli.show import progress
 from tubeplan_viz.result import plain
+from tubeplan_viz.tube import METHODS
 
 
 def bench(
     name: Annotated[str, typer.Argument(help="Which comparison: " + ", ".join(BENCHMARKS) + ".")],
     json: Json = False,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer seeds and cases.")] = False,
+    method: Annotated[
+        str, typer.Option("--method", help="Of paper: feature_iteration (its tables), or optimal (as the benchmark optimal).")
+    ] = "feature_iteration",
     quiet: Quiet = False,
 ) -> None:
     """Rebuild a comparison: case, figure, ours, reference, ratio, target, holds.
@@ -30,6 +34,11 @@ def bench(
     """
     if name not in BENCHMARKS:
         raise CaseError(f"there is no benchmark {name!r}, expected one of {', '.join(BENCHMARKS)}")
+    if method not in METHODS:
+        raise CaseError(f"there is no method {method!r}, expected {' or '.join(METHODS)}")
+    if method == "optimal" and name not in ("paper", "optimal"):
+        raise CaseError(f"the benchmark {name} has no --method optimal; it is for paper")
+    name = "optimal" if method == "optimal" else name
     with progress(quiet or json) as notify:
         rows = BENCHMARKS[name](quick=quick, notify=notify)
     if json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -152,10 +153,9 @@ def warm_start(passage: Passage, warm: SplineCurve) -> tuple[Grid, FloatArray]:
 
 def with_knots(curve: SplineCurve, spacing: float) -> SplineCurve:
     """The same curve with knots added until none of its spans is longer than `spacing` mm."""
-    breaks = np.unique(curve.knots)
-    lengths = np.diff(curve.arc_length(breaks))
+    borders = curve.arc_length(np.unique(curve.knots))
     spline = BSpline(curve.knots, curve.control_points, curve.degree)
-    for low, high, length in zip(breaks[:-1], breaks[1:], lengths, strict=True):
-        for u in np.linspace(low, high, int(np.ceil(length / spacing)) + 1)[1:-1]:
+    for low, high in pairwise(borders):
+        for u in curve.parameter(np.linspace(low, high, int(np.ceil((high - low) / spacing)) + 1)[1:-1]):
             spline = spline.insert_knot(u)
     return SplineCurve(curve.degree, spline.t, spline.c)
