@@ -22,4 +22,10 @@ def engine() -> Any:
             'the dynamics of the bronchoscope need MuJoCo, which is not installed; pip install "tubeplan[dynamics]", '
             "or plan with --method kinematic"
         ) from None
+    # Motions check their states themselves; MuJoCo's own warnings would go into a file in the working directory.
+    mujoco.set_mju_user_warning(_unheard)
     return mujoco
+
+
+def _unheard(message: str) -> None:
+    """Say nothing."""

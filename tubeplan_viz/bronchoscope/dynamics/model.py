@@ -20,6 +20,8 @@ from tubeplan_viz.bronchoscope.dynamics.wall import SIDES
 SHEATH = 1e4
 # Where a plane waits that is not used, mm.
 FAR = -1e6
+# Softness of a contact: MuJoCo's impedance from the first touch to 0.05 mm deep. Nearer to 1 the robot is thrown off the wall.
+IMPEDANCE = [0.95, 0.99, 0.05, 0.5, 2.0]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,6 +102,8 @@ def build_model(chain: Chain, entrance: FloatArray, passive: int) -> Model:
     option.gravity = [1e3 * g for g in settings.gravity]
     # The contact's softness is stated against the exact inertia at each contact, not against that of the straight robot.
     option.enableflags = int(mujoco.mjtEnableBit.mjENBL_DIAGEXACT)
+    # A state that is not finite must be seen, not replaced by the straight robot.
+    option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
     count = 2 * robot.links
     hinges = chain.hinges[: count + passive]
@@ -195,4 +199,4 @@ def _planes(mujoco: Any, spec: Any, balls: int, friction: float, time: float) ->
             pair = spec.add_pair(geomname1=f"ball {ball}", geomname2=name, condim=3 if friction else 1)
             pair.friction = [friction, friction, 0.0, 0.0, 0.0]
             pair.solref = [time, 1.0]
-            pair.solimp = [0.95, 0.99, 0.05, 0.5, 2.0]
+            pair.solimp = IMPEDANCE

@@ -20,8 +20,12 @@ TRACK_SPACING = 0.5
 # A lifted plane is this far past the ball that it meets, and stays lifted while the ball is no further away, mm.
 LIFT = 1e-3
 HOLD = 0.03
-# The wall is asked every so many steps; the tip swings by 0.3 mm meanwhile at most.
-RENEWAL_STEPS = 3
+# A step in which a place moves further is none of a robot pushed at 15 mm/s, mm.
+LEAP = 0.8
+# A motion that begins deep in the wall may go this much deeper, mm.
+DEEPER = 0.03
+# The wall is asked when some ball has moved this far, mm.
+RENEWAL_WAY = 0.1
 NONE = np.zeros(0, dtype=np.int64)
 # The last millimetre before the entrance: from 10^4 times its stiffness a hinge gives way to its own.
 SHEATH = 4.0
@@ -57,10 +61,14 @@ class Motion:
         self.angles: FloatArray = np.zeros((2 * chain.robot.links, 2))
         self.inserted = 0.0
         self.steps = 0
+        self._centers = self._asked = np.zeros((0, 3))
         self.track: list[FloatArray] = []
         self.disc_clearance = np.inf
         self.body_clearance = np.inf
+        self.halted = False
+        self._depth = 0.0
         self._take(passive)
+        self._good = self._memory()
 
     def begin(self, values: FloatArray | None, angles: FloatArray, inserted: float) -> None:
         """From MuJoCo's state, or straight and at rest without one; the wall's planes are laid anew."""
@@ -73,12 +81,16 @@ class Motion:
         self._sheath()
         self._mujoco.mj_kinematics(self.model.model, self.data)
         self._centers = np.array(self.data.geom_xpos[self.model.balls])
-        self.steps = 0
-        self._touch(self._centers)
+        self._touch(self._centers, fresh=True)
         self.track = [self.tip_place()]
+        self._depth = max(self._chain.settings.halt_depth, -self.body_clearance + DEEPER)
+        self._good = self._memory()
 
     def go(self, angles: FloatArray, inserted: float, duration: float, watch: Callable[[float], None] | None = None) -> None:
         """Bring the commanded shape and place evenly to new values, then wait for rest.
+
+        A motion that would press the robot deeper into the wall than `halt_depth`, or throw it about, halts in its last good
+        state, as a robot stops whose motors work against too much.
 
         Parameters
         ----------
@@ -92,7 +104,8 @@ class Motion:
         step = settings.time_step
         first_angles, first_place = self.angles, self.inserted
         count = max(int(np.ceil(duration / step)), 1)
-        speed = (inserted - first_place) / (count * step)
+        speed, turning = (inserted - first_place) / (count * step), (angles - first_angles) / (count * step)
+        rest = 0.0 * turning
         for number in range(1, count + int(np.ceil(settings.settle_time / step)) + 1):
             if number <= count:
                 share = number / count
@@ -102,19 +115,30 @@ class Motion:
                 if wanted != self.model.passive:
                     self._change(wanted)
                 self._sheath()
-            self._control(speed if number <= count else 0.0)
+            self._control(*((speed, turning) if number <= count else (0.0, rest)))
             self._mujoco.mj_step(self.model.model, self.data)
             self._mujoco.mj_kinematics(self.model.model, self.data)
             self.steps += 1
             centers = np.array(self.data.geom_xpos[self.model.balls])
-            ways = centers - self._centers
-            self._touch(centers)
+            way = float(np.square(centers - self._centers).sum(axis=1).max())
+            # Written so that a place that is not finite is a leap, too.
+            if not way < LEAP**2:
+                self._return()
+                break
+            best = self.disc_clearance, self.body_clearance
+            asked = self._touch(centers)
+            if self.body_clearance < -self._depth:
+                self.disc_clearance, self.body_clearance = best
+                self._return()
+                break
+            if asked:
+                self._good = self._memory()
             tip = self.tip_place()
             if np.abs(tip - self.track[-1]).max() > TRACK_SPACING:
                 self.track.append(tip)
             if watch is not None:
                 watch(number * step)
-            if number >= count and float(np.einsum("ij,ij->i", ways, ways).max()) < (settings.settle_speed * step) ** 2:
+            if number >= count and way < (settings.settle_speed * step) ** 2:
                 break
         self.track.append(self.tip_place())
         self._measure_disc()
@@ -188,28 +212,30 @@ class Motion:
         self._points = self.data.mocap_pos.reshape(-1, SIDES, 3)
         self._turns = self.data.mocap_quat.reshape(-1, SIDES, 4)
 
-    def _control(self, speed: float) -> None:
+    def _control(self, speed: float, turning: FloatArray) -> None:
         self.data.ctrl[0] = self.inserted - self.model.behind
         self.data.ctrl[1] = speed
         self.data.ctrl[2::2] = self.angles.ravel()
+        self.data.ctrl[3::2] = turning.ravel()
 
     def _sheath(self) -> None:
         """Hinges that are still in the sheath are stiff; a hinge gives way over its last millimetre there."""
         depth = np.clip(self.model.hinge_places - self.inserted, 0.0, 1.0)
         self.model.model.jnt_stiffness[self.model.passive_joints] = self.model.passive_stiffness * 10.0 ** (SHEATH * depth)
 
-    def _touch(self, centers: FloatArray, *, fresh: bool = False) -> None:
-        """Lay the wall's planes where the balls are now.
+    def _touch(self, centers: FloatArray, *, fresh: bool = False) -> bool:
+        """Lay the wall's planes where the balls are now; whether the wall was asked.
 
         MuJoCo resists once a ball is past its plane; one that comes at 50 mm/s would be 0.1 mm past it by then. The
         plane of a ball that would pass it in the next step is therefore lifted to meet it, and the step takes its speed.
         """
         model, planes = self.model, self._planes
-        if fresh or self.steps % RENEWAL_STEPS == 0:
+        if fresh or float(np.square(centers - self._asked).sum(axis=1).max()) > RENEWAL_WAY**2:
+            self._asked, asked = centers, True
             inside = model.ball_places < self.inserted + self._chain.robot.active_length
             rows = np.flatnonzero(planes.renew(centers, inside))
         else:
-            rows = NONE
+            rows, asked = NONE, False
         if len(rows):
             used = planes.used[rows, :, None]
             self._points[rows] = np.where(used, planes.points[rows], [0.0, 0.0, FAR])
@@ -222,10 +248,31 @@ class Motion:
             points, normals = planes.points[rows, sides], planes.normals[rows, sides]
             skin = model.ball_skins[rows]
             gap = np.einsum("ij,ij->i", centers[rows] - points, normals) - model.ball_radii[rows] - skin
+            thick = model.ball_radii[rows] == self._chain.robot.radius
+            # Between two questions the planes tell how deep a ball is.
+            self.body_clearance = min(self.body_clearance, float((gap + skin)[thick].min(initial=np.inf)))
             coming = np.einsum("ij,ij->i", self._centers[rows] - centers[rows], normals)
             lift = skin + np.where((gap > 0.0) & (gap < np.maximum(coming, HOLD)), gap + LIFT, 0.0)
             self._points[rows, sides] = points + lift[:, None] * normals
         self._centers = centers
+        return asked
+
+    def _memory(self) -> tuple[int, FloatArray, FloatArray, float]:
+        return self.model.passive, self.values(), self.angles, self.inserted
+
+    def _return(self) -> None:
+        """Back to the last good state, at rest."""
+        passive, values, angles, inserted = self._good
+        if passive != self.model.passive:
+            self._take(passive)
+        clearances = self.disc_clearance, self.body_clearance
+        track = self.track
+        self.begin(values, angles, inserted)
+        self.track = track
+        self.data.qvel[:] = 0.0
+        self._mujoco.mj_forward(self.model.model, self.data)
+        self.disc_clearance, self.body_clearance = clearances
+        self.halted = True
 
     def _measure(self, rows: IntArray) -> None:
         """Least clearances so far, from the balls whose distance is new."""

@@ -35,6 +35,8 @@ class DynamicsSettings:
         Largest force of the pusher, N.
     bend_speed : float
         Largest change of a section's bend, rad/s.
+    halt_depth : float
+        A motion halts before any part of the robot is this deep in the wall, mm.
     friction : float
         Coefficient of sliding friction between robot and moist wall.
     skin : float
@@ -65,6 +67,7 @@ class DynamicsSettings:
     push_stiffness: float = 10.0
     push_force: float = 5.0
     bend_speed: float = math.pi / 2
+    halt_depth: float = 0.2
     friction: float = 0.1
     skin: float = 0.05
     rim_skin: float = 0.15
@@ -86,6 +89,7 @@ class DynamicsSettings:
             "push_stiffness",
             "push_force",
             "bend_speed",
+            "halt_depth",
             "contact_time",
             "fine_link",
             "coarse_link",
