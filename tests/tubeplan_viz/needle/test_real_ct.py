@@ -62,6 +62,31 @@ def test_a_path_between_the_ribs_keeps_its_distance_from_every_voxel_of_bone(fol
     assert [check.name for check in verify_run(folder / "run").faults] == []
 
 
+def command(folder: Path, name: str, *more: str) -> int:
+    """The same lesion by the command line, its entry free on the skin."""
+    places = ["--target=-107.5,10.9,-139", "--entry=-188,10.9,-139", "--direction", "1,0,0", "--skin", "--entry-radius", "12"]
+    needle = ["--cone", "20", "--kappa", "0.01", "--restarts", "1", "--rounds", "150", "--quiet", "--no-recording"]
+    image = ["--ct", str(folder / "ct"), "--hu-min", "180"]
+    return status_of(["plan", "needle3d", *image, *places, *needle, *more, "-o", str(folder / name)])
+
+
+def test_through_the_skin_of_the_chest_the_verifier_agrees(folder: Path) -> None:
+    assert command(folder, "skin", "--safety", "1.5") == 0
+    checks = {check.name: check for check in verify_run(folder / "skin").checks}
+    assert checks["entry: on the skin"].ok
+    assert [name for name, check in checks.items() if not check.ok] == []
+    assert (folder / "skin" / "report.html").read_text(encoding="utf-8").count('<svg class="cut"') == 4
+
+
+def test_a_needle_that_is_to_stay_farther_from_bone_than_the_ribs_are_apart_is_refused(folder: Path) -> None:
+    """The gap between the ribs is about 10 mm wide: 6 mm to either side do not fit."""
+    assert command(folder, "wide", "--safety", "6") == 4
+    result = json.loads((folder / "wide" / "result.json").read_text(encoding="utf-8"))
+    assert result["path"] is None
+    assert "no path was found" in result["reason"]
+    assert verify_run(folder / "wide").holds
+
+
 def test_a_target_in_bone_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     volume = read_ct(folder / "ct").volume
     index = np.round(volume.to_index([-188.0, 10.9, -139.0])).astype(int)
