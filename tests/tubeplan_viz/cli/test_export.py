@@ -341,3 +341,13 @@ def test_the_single_file_opens_from_disk_and_asks_no_host(meshes: Path, tubeplan
     assert asked == [file.as_uri()]
     # The viewer tries to reach its makers; the page's policy refuses before anything is sent.
     assert not [fault for fault in faults if "Content Security Policy" not in fault]
+
+
+def test_the_schema_is_printed_whole_and_key_by_key(tubeplan: Call, result: dict[str, Any]) -> None:
+    schema = json.loads(tubeplan("schema", "--json").out)
+    Draft202012Validator(schema).validate(result)
+    lines = tubeplan("schema").out.splitlines()
+    listed = {line.split("  ")[0] for line in lines[1:]}
+    assert set(result) <= listed
+    assert {"metrics.length_mm", "flagged_intervals[].worst", "details.measures.items[].reason"} <= listed
+    assert any(line.startswith("status  [ok | flagged | infeasible]") for line in lines)
