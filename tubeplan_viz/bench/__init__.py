@@ -5,6 +5,7 @@ from collections.abc import Callable
 from tubeplan_viz.bench.bronchoscope import bronchoscope
 from tubeplan_viz.bench.centerline import centerline
 from tubeplan_viz.bench.certificate import certificate
+from tubeplan_viz.bench.dynamics import dynamics
 from tubeplan_viz.bench.faults import faults
 from tubeplan_viz.bench.infeasible import infeasible
 from tubeplan_viz.bench.matrix import matrix
@@ -26,6 +27,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "needle2d": needle2d,
     "needle3d": needle3d,
     "bronchoscope": bronchoscope,
+    "dynamics": dynamics,
 }
 
 __all__ = ["BENCHMARKS", "Row"]
