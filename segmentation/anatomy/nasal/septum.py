@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage, sparse
+from scipy import ndimage, sparse, stats
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray, VoxelArray
 
@@ -173,8 +173,8 @@ def lower_end(up: IntArray, back: IntArray) -> tuple[float, float]:
     # The head may be tilted: heights are taken above a line along the septum's lower edge, without the columella.
     places = np.unique(back)
     lowest = np.array([up[back == place].min() for place in places])
-    rear = places >= np.quantile(back, 0.25)
-    slope = float(np.polyfit(places[rear], lowest[rear], 1)[0]) if np.count_nonzero(rear) > 2 else 0.0
+    over = (places >= np.quantile(back, 0.25)) & (places <= np.quantile(back, 0.65))  # the palate
+    slope = float(stats.theilslopes(lowest[over], places[over])[0]) if np.count_nonzero(over) > 2 else 0.0
     level = np.rint(up - slope * back).astype(int)
     first, last = np.quantile(level, LOW)
     low = (level >= first) & (level <= last)
