@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from reports.slices import png
 from reports.svg import Axis, grid, nice_step, path_axis, tag, trace
@@ -97,21 +98,22 @@ def entry_map(entry: Mapping[str, Any], goal: FloatArray, side: str) -> Markup:
     low, high = flat.min(axis=0) - 2.0, flat.max(axis=0) + 2.0
     scale = 400.0 / float(max(high - low))
     size = (high - low) * scale
-    cell = float(np.sqrt(np.prod(high - low) / max(len(points), 1)))
-    cell = max(0.5, min(1.0, cell * 3.0)) * scale
-    parts = []
-    order = np.argsort(feasible, kind="stable")
+    pitch = float(np.median(cKDTree(points).query(points, k=2)[0][:, 1])) if len(points) > 1 else 1.0
+    side_px, step = 1.1 * pitch * scale, 0.5 * pitch * scale
+    # Voxels behind each other fall on the same half pitch; the feasible ones come last and are what is seen.
     seen: dict[tuple[int, int], str] = {}
-    for k in order:
+    for k in np.argsort(feasible, kind="stable"):
         x, y = (flat[k] - low) * scale
         color = "var(--holds)" if feasible[k] else LABEL_COLORS.get(names[blocked[k]] if blocked[k] >= 0 else "", "#8a93a0")
-        seen[round(x / cell), round(y / cell)] = color
-    for (i, j), color in seen.items():
-        parts.append(
-            Markup('<rect x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}" style="fill:{}"/>').format(
-                i * cell - 0.5 * cell, j * cell - 0.5 * cell, 0.94 * cell, 0.94 * cell, color
-            )
+        place = (round(x / step), round(y / step))
+        seen.pop(place, None)
+        seen[place] = color
+    parts = [
+        Markup('<rect x="{:.1f}" y="{:.1f}" width="{:.1f}" height="{:.1f}" style="fill:{}"/>').format(
+            i * step - 0.5 * side_px, j * step - 0.5 * side_px, side_px, side_px, color
         )
+        for (i, j), color in seen.items()
+    ]
     bar = 5.0 * scale
     parts.append(tag("path", class_="rigid-bar", d=f"M8 {size[1] + 14:.1f}h{bar:.1f}"))
     parts.append(tag("text", "5 mm", class_="axis", x=bar + 14, y=float(size[1] + 18)))
@@ -140,7 +142,7 @@ def corridor_view(result: Mapping[str, Any], axes: tuple[int, int], signs: tuple
     entry = np.array(details["entry"]["points_mm"], float)[np.array(details["entry"]["feasible"], bool)]
     extent = np.vstack([*(flat(line) for _, line, _ in shapes), flat(entry), flat(goal)])
     low, high = extent.min(axis=0) - 6.0, extent.max(axis=0) + 6.0
-    scale = 560.0 / float((high - low)[0])
+    scale = 560.0 / float((high - low).max())
     size = (high - low) * scale
     parts = [
         tag("rect", class_="rigid-entry", x=float(x), y=float(y), width=2.0, height=2.0)

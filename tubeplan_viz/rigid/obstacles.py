@@ -162,15 +162,16 @@ def build_obstacles(
     window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
     names, kept, cells, half, label = [], [], [], [], []
     for name, mask in masks.items():
-        inside = np.zeros_like(mask, dtype=bool)
-        inside[window] = mask[window]
-        if not inside.any():
+        part = mask[window]
+        if not part.any():
             continue
-        centres, sides = exposed_cells(inside, frame.spacing)
+        centres, sides = exposed_cells(part, frame.spacing)
+        inside = np.zeros_like(mask, dtype=bool)
+        inside[window] = part
         label.append(np.full(len(centres), len(names), dtype=np.int64))
         names.append(name)
         kept.append(inside)
-        cells.append(centres)
+        cells.append(centres + low * frame.spacing)
         half.append(sides)
     points = np.vstack(cells) if cells else np.empty((0, 3))
     sides = np.vstack(half) if half else np.empty((0, 3))

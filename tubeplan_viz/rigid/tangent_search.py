@@ -23,6 +23,8 @@ from tubeplan_viz.rigid.judge import Judge
 
 CELLS_SEEN = 3000  # of a structure, as seen from a node; more only cost time
 CHUNK = 48
+JOIN_MM = (6.0, 9.0, 12.0, 16.0, 22.0)  # how far behind its start a straight path is joined from another start
+BESIDE_MM, THOROUGH = 3.0, 4  # starts so near a solved one are offered so many times as many lines
 SPREAD_MM = 3.0  # tangents are looked for from one start in every cube of this side
 Progress = Callable[[int, int], None]
 
@@ -44,7 +46,7 @@ class SearchSettings:
     tangent_gap : float, mm
         `d_t`, on top of the room that the instrument itself needs beside the shaver's axis.
     neighbours : int
-        Solved starts whose nodes are offered to one that is not.
+        Solved starts, and lines at each depth, whose nodes are offered to a start that is not solved.
     waves : int
         How often they are offered.
     """
@@ -54,7 +56,7 @@ class SearchSettings:
     planes: int = 8
     nodes: int = 2
     tangent_gap: float = 0.5
-    neighbours: int = 2
+    neighbours: int = 9
     waves: int = 4
 
     def __post_init__(self) -> None:
@@ -182,7 +184,10 @@ def search(
                 suffixes = _bend(state, suffixes, roll, settings)
                 tell(int(state.solved.sum()), n)
         if state.solved.any():
+            _onto_straight(state, np.flatnonzero(~state.solved), settings.neighbours)
+            tell(int(state.solved.sum()), n)
             _from_neighbours(state, settings, lambda: tell(int(state.solved.sum()), n))
+            _onto_straight(state, _beside_solved(state), settings.neighbours * THOROUGH)
     tell(n, n)
     return SearchResult(tuple(state.paths), state.solved, blocked_by, blocked_at, state.refused, judge.evaluations - begun)
 
@@ -258,6 +263,35 @@ def _finish(state: _State, rows: IntArray, tails: Sequence[Sequence[FloatArray]]
     for j in live[free]:
         if not state.solved[rows[j]]:
             state.solve(int(rows[j]), (state.starts[rows[j]], *tails[j]), rolls[j])
+
+
+def _beside_solved(state: _State) -> IntArray:
+    """Starts without a path that lie beside one that has a path."""
+    rows = np.flatnonzero(~state.solved)
+    away, _ = cKDTree(state.starts[state.solved]).query(state.starts[rows])
+    return rows[away <= BESIDE_MM]
+
+
+def _onto_straight(state: _State, rows: IntArray, lines: int) -> None:
+    """Offer places on straight paths as nodes: those a little behind their starts, on the lines that turn a start least."""
+    straight = [path for path in state.paths if len(path.nodes) == 2]
+    if not straight or not len(rows):
+        return
+    begin, rolls = np.array([path.nodes[0] for path in straight]), np.array([path.roll for path in straight])
+    way = unit(state.goal - begin)
+    for depth in JOIN_MM:
+        nodes = begin + depth * way
+        # The angle at each node between the push from each start and the line on to the goal, (rows, lines).
+        turn = np.empty((len(rows), len(nodes)))
+        for part in np.array_split(np.arange(len(rows)), max(1, len(rows) * len(nodes) // 1_000_000)):
+            push = unit(nodes[None] - state.starts[rows[part], None])
+            turn[part] = np.arccos(np.clip(np.einsum("nmi,mi->nm", push, way), -1.0, 1.0))
+        # From the line that turns least to the one that turns most: near ones are often blocked alike.
+        for rank in np.unique(np.linspace(0, len(nodes) - 1, lines).round().astype(int)):
+            live = np.flatnonzero(~state.solved[rows])
+            best = np.argpartition(turn[live], rank, axis=1)[:, rank] if len(live) else live
+            tails = [(nodes[k], state.goal) for k in best]
+            _finish(state, rows[live], tails, rolls[best])
 
 
 def _from_neighbours(state: _State, settings: SearchSettings, tell: Callable[[], None]) -> None:
