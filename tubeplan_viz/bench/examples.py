@@ -32,11 +32,14 @@ class Example:
         Gives the model; start and goal are the ends of its axis.
     limits, tube : mapping
         Tables of the case file.
+    method : str
+        Of the tube planner.
     """
 
     build: Callable[[], Model]
     limits: Mapping[str, float]
     tube: Mapping[str, Any]
+    method: str = "feature_iteration"
 
 
 # Limits of table 1 of Dai et al. (2024), at the spacing of 0.8 mm that its point counts imply.
@@ -45,6 +48,9 @@ EXAMPLES: Mapping[str, Example] = {
         build=bent_cylinder_1,
         limits={"curvature_max": 0.100, "clearance_min": 1.5},
         tube={"centerline_step_mm": 0.8},
+    ),
+    "cylinder_1_optimal": Example(
+        build=bent_cylinder_1, limits={"curvature_max": 0.100, "clearance_min": 1.5}, tube={}, method="optimal"
     ),
     "cylinder_2": Example(
         build=bent_cylinder_2,
@@ -70,7 +76,7 @@ def example_case(name: str, folder: Path) -> Case:
         {
             "input": {"mesh": folder / f"{name}.ply", "case_id": name.replace("_", "-")},
             "limits": example.limits,
-            "planner": {"start": model.start.tolist(), "goal": model.goal.tolist()},
+            "planner": {"method": example.method, "start": model.start.tolist(), "goal": model.goal.tolist()},
             "tube": example.tube,
         },
         name=name,
