@@ -14,7 +14,7 @@ from tubeplan_viz.geometry import SplineCurve
 
 KNOTS = 3.0  # mm between the spline's knots
 LEAST_STEP = 0.5  # mm; places of the track nearer to each other are one
-LAST_STEP = 1.5  # mm; the same about the end, where corrections on the spot are no way
+LAST_STEP = 2.5  # mm; the same about the end, where corrections on the spot are no way
 
 
 def tip_track(steps: Sequence[Step]) -> FloatArray:
