@@ -211,7 +211,9 @@ class Reach:
                 self.add(self.feature_path(one.limits), one.limits)
 
     def halve(self, levels: Sequence[float], possible: Sequence[Instrument]) -> None:
-        """Largest clearances at some of the curvature limits `levels`, which rise."""
+        """Largest clearances at some of the curvature limits `levels`, which rise; none for instruments that are served."""
+        open_levels = {one.limits.curvature_max for one in possible if not self.is_served(one)}
+        levels = [level for level in levels if level in open_levels]
         if not levels:
             return
         middle = len(levels) // 2
@@ -282,6 +284,15 @@ class Reach:
             and witness.clearance_bound >= instrument.radius
             and witness.length + self._settings.before_start_mm <= instrument.working_length_mm
         )
+
+    def is_served(self, instrument: Instrument) -> bool:
+        """Whether one of the paths found is proved for shaft and tip of an instrument."""
+        for index, witness in enumerate(self.witnesses):
+            if self.keeps(witness, instrument):
+                tip = self.tip(index, instrument)
+                if tip is None or tip.bound >= instrument.radius:
+                    return True
+        return False
 
     def cells(self) -> tuple[Cell, ...]:
         """The verdict for every instrument, in the order given."""
