@@ -11,7 +11,17 @@ from segmentation.synthetic.nasal import NasalPhantomSettings, nasal_phantom
 from tubeplan_viz.bench.rigid_brute import BruteForce, brute_force
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.pipeline import Notify, silent
-from tubeplan_viz.rigid import CoupledInstrument, Problem, SearchResult, SearchSettings, Weights, make_problem, posed, rank, search
+from tubeplan_viz.rigid import (
+    CoupledInstrument,
+    Problem,
+    SearchResult,
+    SearchSettings,
+    Weights,
+    make_problem,
+    posed,
+    rank,
+    search,
+)
 from tubeplan_viz.rigid.collision import collide, to_frame
 from tubeplan_viz.rigid.instrument import unit
 from tubeplan_viz.rigid.planner import path_goals, ranked_paths
