@@ -20,6 +20,8 @@ TRACK_SPACING = 0.5
 # A lifted plane is this far past the ball that it meets, and stays lifted while the ball is no further away, mm.
 LIFT = 1e-3
 HOLD = 0.03
+# Balls this near to the entrance are still led by the sheath, mm.
+MOUTH = 0.5
 # A step in which a place moves further is none of a robot pushed at 15 mm/s, mm.
 LEAP = 0.8
 # A motion that begins deep in the wall may go this much deeper, mm.
@@ -232,7 +234,7 @@ class Motion:
         model, planes = self.model, self._planes
         if fresh or float(np.square(centers - self._asked).sum(axis=1).max()) > RENEWAL_WAY**2:
             self._asked, asked = centers, True
-            inside = model.ball_places < self.inserted + self._chain.robot.active_length
+            inside = model.ball_places < self.inserted + self._chain.robot.active_length - MOUTH
             rows = np.flatnonzero(planes.renew(centers, inside))
         else:
             rows, asked = NONE, False
