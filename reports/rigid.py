@@ -133,8 +133,8 @@ def _keys(source: Source) -> tuple[Key, ...]:
         source.need("details.instrument.shaver_diameter_mm", 1, "mm"),
     )  # fmt: skip
     apart = phrase(
-        source.need("details.instrument.offset_mm", 1, "mm"), " apart, tip ", source.need("details.instrument.setback_mm", 1, "mm"),
-        " ahead",
+        source.need("details.instrument.offset_mm", 1, "mm"), " apart, tip ",
+        source.need("details.instrument.setback_mm", 1, "mm"), " ahead",
     )  # fmt: skip
     made = [Key("Endoscope and shaver", diameters, apart)]
     length = source.figure("metrics.length_mm", 1, "mm")
@@ -200,8 +200,8 @@ def _entry(source: Source) -> Part:
     return Part(
         id="entry",
         title="Entry region",
-        line="Seen from in front of the nose along the way to the lesion; each square is a voxel of the entry region. Green: a path "
-        "begins there. Other colours: no path, and what blocks the straight push.",
+        line="Seen from in front of the nose along the way to the lesion; each square is a voxel of the entry region. "
+        "Green: a path begins there. Other colours: no path, and what blocks the straight push.",
         drawings=(Drawing("Feasible, and why not", entry_map(entry, goal, str(source.result["details"]["side"]))),),
         legend=(("feasible", "var(--holds)"), *_legend(list(names))),
         head=("Structure", "Infeasible voxels whose straight push it blocks", "Tries it refused in all"),
@@ -224,8 +224,8 @@ def _corridor(source: Source) -> Part | None:
         title="Instrument and corridor",
         line="The instrument at each node, drawn to scale: endoscope above, shaver with its tip on the path.",
         drawings=(
-            Drawing("From the side: y to the right (backwards), z upwards", corridor_view(source.result, (1, 2), (1.0, 1.0))),
-            Drawing("From above: x to the right (left of the patient), y upwards (backwards)", corridor_view(source.result, (0, 1), (1.0, 1.0))),
+            Drawing("From the side: y to the right, z upwards", corridor_view(source.result, (1, 2), (1.0, 1.0))),
+            Drawing("From above: x to the right, y upwards (backwards)", corridor_view(source.result, (0, 1), (1.0, 1.0))),
         ),
         head=("At", "Tip (x, y, z), mm", "α, °", "β (roll), °", "γ, °"),
         rows=tuple(rows),
@@ -242,7 +242,7 @@ def _profile(source: Source) -> Part | None:
         title="Distance to each structure",
         line="From the surface of endoscope or shaver, the tip at that place of the path.",
         drawings=(Drawing("Distance, mm, over the way of the tip", profile_drawing(result)),),
-        legend=_legend([name for name in result["details"]["structure_distances_mm"]]),
+        legend=_legend(list(result["details"]["structure_distances_mm"])),
     )
 
 
@@ -294,8 +294,8 @@ def _goals(source: Source) -> Part | None:
     return Part(
         id="pareto",
         title="Pareto set",
-        line=f"All {len(rows)} ranked paths, each a line through its goals (0, below: the best of all). {kept} of them, dark, are "
-        "beaten by no other in every goal; the four best are drawn bold.",
+        line=f"All {len(rows)} ranked paths, each a line through its goals (0, below: the best of all). {kept} of them, dark, "
+        "are beaten by no other in every goal; the four best are drawn bold.",
         drawings=(Drawing("Goals of every path, normalised", goals_chart(details)),),
     )
 

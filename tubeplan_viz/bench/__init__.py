@@ -12,6 +12,7 @@ from tubeplan_viz.bench.matrix import matrix
 from tubeplan_viz.bench.needle import needle2d, needle3d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
+from tubeplan_viz.bench.rigid import rigid
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bench.vmtk_line import vmtk_line
 
@@ -26,6 +27,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "vmtk": vmtk_line,
     "needle2d": needle2d,
     "needle3d": needle3d,
+    "rigid": rigid,
     "bronchoscope": bronchoscope,
     "dynamics": dynamics,
 }

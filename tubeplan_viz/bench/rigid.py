@@ -59,7 +59,10 @@ def compared(case: str, problem: Problem, found: SearchResult, every: BruteForce
     both, either = (found.feasible & every.feasible).sum(), (found.feasible | every.feasible).sum()
     share, saved = float(both / max(either, 1)), every.evaluations / max(found.evaluations, 1)
     rows = [
-        Row(case=case, figure="feasible starts", ours=float(found.feasible.sum()), reference=float(every.feasible.sum()), source="brute force"),
+        Row(
+            case=case, figure="feasible starts", ours=float(found.feasible.sum()), reference=float(every.feasible.sum()),
+            source="brute force",
+        ),
         Row(case=case, figure="feasible starts, IoU", ours=share, target="at least 0.98", holds=share >= 0.98),
         Row(
             case=case, figure="collision evaluations", ours=float(found.evaluations), reference=float(every.evaluations),

@@ -30,8 +30,12 @@ Roll = Annotated[float | None, typer.Option("--roll-max", help="Largest roll abo
 Nodes = Annotated[int | None, typer.Option("--nodes", help="Most bends of a path [2].")]
 Mask = Annotated[
     list[str] | None,
-    typer.Option("--mask", help="NAME=FILE: brain, orbit_left, orbit_right, septum, turbinate_left, turbinate_right, entry_left or entry_right as a label volume."),
-]  # fmt: skip
+    typer.Option(
+        "--mask",
+        help="NAME=FILE: a label volume for brain, orbit_left, orbit_right, septum, turbinate_left, "
+        "turbinate_right, entry_left or entry_right.",
+    ),
+]
 Seed = Annotated[list[str] | None, typer.Option("--seed", help="NAME=X,Y,Z: a point of a structure, to correct its proposal.")]
 Box = Annotated[list[str] | None, typer.Option("--box", help="NAME=X,Y,Z,X,Y,Z: a box that holds a structure or an entry.")]
 

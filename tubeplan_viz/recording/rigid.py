@@ -1,4 +1,4 @@
-"""The recording of a rigid plan: labels, entry voxels and why not, corridor, instrument at every node, CT planes along the way."""
+"""The recording of a rigid plan: labels, entry voxels and why not, corridor, instrument at every node, CT along the way."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def collide(obstacles: Obstacles, bodies: Bodies, *, exact: bool = True) -> Hits
 
 
 def _march(obstacles: Obstacles, bodies: Bodies, rows: IntArray, start: FloatArray, hits: Hits, *, exact: bool) -> FloatArray:
-    """Walk along some axes from `start` mm ahead of their tails backwards, up to the first hit or the tail; where each walk ended."""
+    """Walk along some axes from `start` mm ahead of their tails backwards, to the first hit or the tail; where each ended."""
     axis, ended = bodies.axis, np.zeros(len(bodies))
     live, at = rows, start.copy()
     while len(live):
@@ -187,7 +187,7 @@ def rectangle_gap(
     upper, lower = np.full(n, np.inf), np.zeros(n)
     live, spot = np.arange(n), centres.copy()
     low, high = centres - half, centres + half
-    for round_ in range(PROJECTIONS):
+    for _ in range(PROJECTIONS):
         some = bodies.take(live)
         mine = some.nearest(spot[live])
         spot[live] = np.clip(mine, low[live], high[live])
@@ -197,10 +197,8 @@ def rectangle_gap(
         normal = way / np.maximum(gap, 1e-300)[:, None]
         plane = np.minimum(normal * low[live], normal * high[live]).sum(axis=1) - some.support(normal)
         lower[live] = np.maximum(lower[live], np.where(gap > 1e-12, plane, 0.0))
-        if enough is None:
-            done = upper[live] - lower[live] < SETTLED_MM
-        else:
-            done = (upper[live] <= enough) | (lower[live] > enough)
+        settled = upper[live] - lower[live] < SETTLED_MM
+        done = settled if enough is None else (upper[live] <= enough) | (lower[live] > enough)
         live = live[~done]
         if not len(live):
             break
@@ -268,7 +266,7 @@ def _gap_to(obstacles: Obstacles, bodies: Bodies, k: int, gaps: Gaps, *, settled
     rank = np.arange(len(owner)) - np.searchsorted(owner, owner)
     for turn in range(PIECES_ASKED):
         asked = np.flatnonzero((rank == turn) & (known - half < best[owner]))
-        found, cell = tree.query(bodies.tail[owner[asked]] + middle[asked, None] * axis[owner[asked]])
+        _, cell = tree.query(bodies.tail[owner[asked]] + middle[asked, None] * axis[owner[asked]])
         gap = bodies.take(owner[asked]).gap(obstacles.cells[rows[cell]])
         np.minimum.at(best, owner[asked], gap)
         seen_owner.append(owner[asked])

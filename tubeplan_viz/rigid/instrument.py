@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from segmentation.arrays import BoolArray, FloatArray
+from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.errors import CaseError
 
 UP = np.array([0.0, 0.0, 1.0])  # LPS: superior; where the endoscope lies without roll
@@ -118,7 +118,7 @@ class Bodies:
         """Unit vectors from tail to front, (n, 3)."""
         return unit(self.front - self.tail)
 
-    def take(self, rows: np.ndarray) -> Bodies:  # type: ignore[type-arg]
+    def take(self, rows: IntArray) -> Bodies:
         """Some of the bodies."""
         return Bodies(self.tail[rows], self.front[rows], self.radius[rows], self.round_front[rows])
 
@@ -204,8 +204,8 @@ def pose_angles(direction: FloatArray) -> tuple[float, float]:
 
     Examples
     --------
-    >>> np.degrees(pose_angles(np.array([0.0, 1.0, 1.0]))).round(6).tolist()
-    [0.0, 45.0]
+    >>> np.degrees(pose_angles(np.array([-1.0, 1.0, 1.0]))).round(6).tolist()
+    [45.0, 45.0]
     """
     x, y, z = direction
     return float(np.arctan2(-x, y)), float(np.arctan2(z, y))

@@ -160,7 +160,11 @@ def build_obstacles(
         low = np.clip(np.floor(within[0] / frame.spacing).astype(int), 0, high)
         high = np.clip(np.ceil(within[1] / frame.spacing).astype(int) + 1, low, high)
     window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    names, kept, cells, half, label = [], [], [], [], []
+    names: list[str] = []
+    kept: list[BoolArray] = []
+    cells: list[FloatArray] = []
+    half: list[FloatArray] = []
+    label: list[IntArray] = []
     for name, mask in masks.items():
         part = mask[window]
         if not part.any():

@@ -153,5 +153,5 @@ def pareto_set(normal: FloatArray) -> BoolArray:
     for i in kept:
         if good[i]:
             beaten = (normal >= normal[i]).all(axis=1) & (normal > normal[i]).any(axis=1)
-            good &= ~beaten
+            good[beaten] = False
     return good

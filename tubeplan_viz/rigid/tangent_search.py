@@ -219,7 +219,7 @@ def _bend(
         return {}
     here = np.array([suffixes[row][0] for row in rows])
     rolls = np.full(len(rows), roll)
-    label, place = state.judge.push(state.starts[rows], here, rolls)
+    label, _ = state.judge.push(state.starts[rows], here, rolls)
     # A free push that did not solve its start failed at the turn: what blocked the goal is still in the way.
     candidates = tangent_nodes(state.judge, here, state.starts[rows], label, settings)
     longer: dict[int, list[FloatArray]] = {}
@@ -365,8 +365,7 @@ def _tangents(judge: Judge, cells: FloatArray, here: FloatArray, starts: FloatAr
     for p in range(settings.planes):
         sideways = np.einsum("nmi,ni->nm", offset, away[:, p])
         beside = np.abs(np.einsum("nmi,ni->nm", offset, normal[:, p])) < instrument.scope_radius
-        # Going up, the shaver is what passes the obstacle; going down, it is the endoscope above it that must clear... the
-        # other way round: an obstacle below is passed by the shaver, one above by the endoscope.
+        # An obstacle below is passed by the shaver, one above by the endoscope.
         rise = -np.einsum("ni,ni->n", away[:, p], up)
         room = np.maximum(instrument.shaver_radius, rise * instrument.offset + instrument.scope_radius * (rise > 0.3))
         room = room + settings.tangent_gap + judge.margin
@@ -395,7 +394,7 @@ def _first_free(angle: FloatArray, spread: FloatArray) -> tuple[float, int] | No
     Examples
     --------
     >>> theta, which = _first_free(np.array([0.0, 0.15, 0.8]), np.array([0.1, 0.1, 0.1]))
-    >>> round(theta, 9), which
+    >>> round(theta, 5), which
     (0.25, 1)
     """
     low, high = angle - spread, angle + spread

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -251,7 +252,7 @@ def sweep_gap(result: Mapping[str, Any], scene: NasalScene, mask: BoolArray) -> 
     centres = volume.to_lps(index)
     margin = NEAR_MM + tool["offset_mm"] + tool["scope_diameter_mm"]
     near = np.zeros(len(centres), dtype=bool)
-    for a, b in zip(nodes[:-1], nodes[1:], strict=True):
+    for a, b in pairwise(nodes):
         way = (b - a) / np.linalg.norm(b - a)
         along = (centres - b) @ way
         off = np.linalg.norm(centres - b - along[:, None] * way, axis=1)
@@ -270,7 +271,7 @@ def sweep_gap(result: Mapping[str, Any], scene: NasalScene, mask: BoolArray) -> 
     outer = offsets[(np.abs(offsets) == 0.5).any(axis=1)]
     points = volume.to_lps((index[:, None] + outer[None]).reshape(-1, 3))
     least = np.inf
-    for a, b in zip(nodes[:-1], nodes[1:], strict=True):
+    for a, b in pairwise(nodes):
         run = float(np.linalg.norm(b - a))
         least = min(least, pose_gap(points, b, (b - a) / run, roll, run, tool))
     for a, b, c in zip(nodes[:-2], nodes[1:-1], nodes[2:], strict=True):

@@ -39,7 +39,7 @@ def test_a_flat_end_stops_short_of_what_its_ball_would_touch(scene: Obstacles) -
     # The front stands 0.3 mm before the slab, the axis along slices: a ball of radius 2 around it would be deep inside.
     body = Bodies(np.array([[5.0, 50.0, 10.0]]), np.array([[43.95, 50.0, 10.0]]), np.array([2.0]), np.array([False]))
     assert collide(scene, body).free.tolist() == [True]
-    deeper = Bodies(body.tail, body.front + [[0.31, 0.0, 0.0]], body.radius, body.round_front)
+    deeper = Bodies(body.tail, body.front + np.array([0.31, 0.0, 0.0]), body.radius, body.round_front)
     hits = collide(scene, deeper)
     assert scene.names[hits.label[0]] == "slab"
 

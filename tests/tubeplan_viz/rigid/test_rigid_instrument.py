@@ -19,7 +19,7 @@ def test_the_setback_is_the_other_leg_of_the_working_distance() -> None:
 
 
 def test_an_offset_that_lets_the_shafts_overlap_is_refused() -> None:
-    with pytest.raises(CaseError, match="expected between 3.45"):
+    with pytest.raises(CaseError, match=r"expected between 3\.45"):
         CoupledInstrument(offset=3.4)
 
 
