@@ -276,8 +276,7 @@ def again(case: Hindered, relaxation: dict[str, Any], runs: Runs) -> list[Row]:
     inner = line[1:-1]
     held_all = sum(runs.hold(trade["curvature_per_mm"], trade["clearance_mm"]) for trade in inner)
     rising = all(
-        a["clearance_mm"] < b["clearance_mm"] and a["curvature_per_mm"] < b["curvature_per_mm"]
-        for a, b in pairwise(line)
+        a["clearance_mm"] < b["clearance_mm"] and a["curvature_per_mm"] < b["curvature_per_mm"] for a, b in pairwise(line)
     )
     return [
         *rows,
