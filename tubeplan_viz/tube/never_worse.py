@@ -27,8 +27,13 @@ class Standing:
     clearance: float
 
     def beats(self, other: Standing) -> bool:
-        """Whether it keeps the curvature limit better, or as well with more clearance."""
-        return (self.excess, -self.clearance) < (other.excess, -other.clearance)
+        """Whether it alone stays in the lumen, or else keeps the curvature limit better, or as well with more clearance."""
+        return self.rank < other.rank
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Less is better."""
+        return (self.clearance <= 0.0, self.excess, -self.clearance)
 
 
 def standing(curve: SplineCurve, passage: Passage) -> Standing:
