@@ -25,7 +25,7 @@ MOUTH = 0.5
 # A step in which a place moves further is none of a robot pushed at 15 mm/s, mm.
 LEAP = 0.8
 # A motion that begins deep in the wall may go this much deeper, mm.
-DEEPER = 0.03
+DEEPER = 0.02
 # The wall is asked when some ball has moved this far, mm.
 RENEWAL_WAY = 0.1
 NONE = np.zeros(0, dtype=np.int64)

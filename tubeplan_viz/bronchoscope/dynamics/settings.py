@@ -67,7 +67,7 @@ class DynamicsSettings:
     push_stiffness: float = 10.0
     push_force: float = 5.0
     bend_speed: float = math.pi / 2
-    halt_depth: float = 0.2
+    halt_depth: float = 0.15
     friction: float = 0.1
     skin: float = 0.05
     rim_skin: float = 0.15

@@ -92,9 +92,11 @@ class WallPlanes:
         radii = self._radii[balls]
         distance, faces, feet = self._wall.exact.nearest(centers)
         ways = centers - feet
-        # A centre that has passed the wall is pushed back through it, not on. Further off, a face that looks away tells
-        # nothing: the nearest point lies on the wall's rim at an open end.
+        # A centre that has passed the wall is pushed back through it, not on. The nearest face only raises the suspicion: at
+        # edges of the wall and at its open rim it may look away from a centre that is inside.
         beyond = (distance < radii) & (np.einsum("ij,ij->i", ways, self._wall.outward[faces]) > 0.0)
+        if beyond.any():
+            beyond[beyond] = ~self._wall.exact.inside(centers[beyond])
         normals = np.where(beyond, -1.0, 1.0)[:, None] * ways / np.maximum(distance, 1e-9)[:, None]
         distance = np.where(beyond, -distance, distance)
         self._asked[balls], self.distance[balls] = centers, distance
