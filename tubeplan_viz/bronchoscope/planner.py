@@ -47,6 +47,9 @@ class PlannerSettings:
         Tip error up to which the goal counts as reached at all (the text's mean is 2.817).
     body_margin : float, mm
         Least body clearance of a step: 0 where the mover knows no contact; a mover with contacts presses into the wall a little.
+    disc_margin : float, mm
+        Least disc clearance of a step on the way: 0 where the mover knows no contact; a soft contact gives way by a few
+        hundredths where the disc's rim brushes the wall. At the goal the disc must be clear in any case.
     samples_max : int
         Of all stages together.
     patience : int
@@ -62,6 +65,7 @@ class PlannerSettings:
     goal_tolerance: float = 0.3
     goal_error_max: float = 2.0
     body_margin: float = 0.0
+    disc_margin: float = 0.0
     samples_max: int = 400
     patience: int = 12
     corrections_max: int = 6
@@ -343,7 +347,7 @@ class _Growth:
         return self.foresee.move(step, command)
 
     def _collides(self, step: Step) -> bool:
-        return step.disc_clearance < 0.0 or step.body_clearance < self.settings.body_margin
+        return step.disc_clearance < self.settings.disc_margin or step.body_clearance < self.settings.body_margin
 
     def _command(self, step: Step, tip_at: float, push: float, offset: FloatArray, stage: Stage) -> Command:
         """The command after which the active sections lie best on the line, given where the push takes the base."""
@@ -392,10 +396,12 @@ class _Growth:
             good = not self._collides(step)
             tally.refused += not good
             made = self._add(step, best, number, accepted=good)
-            if not good or self._error(made) >= self._error(best):
+            worse = self._error(made) >= self._error(best) and self.nodes[best].step.disc_clearance >= 0.0
+            if not good or worse:
                 break
             best = made
-        return best if self._error(best) <= self.settings.goal_error_max else None
+        clear = self.nodes[best].step.disc_clearance >= 0.0
+        return best if clear and self._error(best) <= self.settings.goal_error_max else None
 
     def _correction(self, step: Step, error: FloatArray) -> Command:
         """Least change of push and distal bend that moves the tip by `error`, by the kinematic model's derivatives."""

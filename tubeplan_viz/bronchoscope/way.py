@@ -22,6 +22,8 @@ from tubeplan_viz.centerline import Centerline, even_points
 
 # A robot with contacts lies on the wall; deeper than this its body is out of the lumen (the simulator's leak bound), mm.
 LEAK = 0.3
+# So far a soft contact lets the disc's rim into the wall that it brushes, mm.
+BRUSH = 0.05
 # Body clearance asked of the kinematic plan before a dynamic one, mm, and the samples it is tried for.
 ROOMY, ROOMY_SAMPLES = 0.2, 40
 # Over the last millimetres the guide leaves the middle for a target beside it.
@@ -106,7 +108,7 @@ def plan_way(
         robot,
         guide,
         stages_on(airway, entrance, target, guide, robot),
-        replace(settings, body_margin=min(settings.body_margin, -LEAK)),
+        replace(settings, body_margin=min(settings.body_margin, -LEAK), disc_margin=min(settings.disc_margin, -BRUSH)),
         wall=airway.wall,
         rng=rng,
         watch=watch,

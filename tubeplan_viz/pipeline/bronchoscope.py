@@ -291,6 +291,7 @@ def plan_details(case: BronchoscopeCase, given: Airway, goal: Target, way: Way, 
             "most": max(len(step.contacts) for step in plan.steps),
             "largest_force_n": max(forces),
             "at_end": len(plan.steps[-1].contacts),
+            "disc_brushes": sum(step.disc_clearance < 0.0 for step in plan.steps),
         },
         "tree": {
             "poses": len(plan.nodes),
