@@ -24,7 +24,7 @@ from tubeplan_viz.rigid.judge import Judge
 CELLS_SEEN = 3000  # of a structure, as seen from a node; more only cost time
 CHUNK = 48
 JOIN_MM = (6.0, 9.0, 12.0, 16.0, 22.0)  # how far behind its start a straight path is joined from another start
-BESIDE_MM, THOROUGH = 3.0, 4  # starts so near a solved one are offered so many times as many lines
+BESIDE_MM, THOROUGH = 3.0, 2  # starts so near a solved one are offered so many times as many lines
 SPREAD_MM = 3.0  # tangents are looked for from one start in every cube of this side
 Progress = Callable[[int, int], None]
 
