@@ -127,10 +127,10 @@ def epsilon_best(normal: FloatArray, weights: Weights, *, main: str, bounds: Flo
         If no path keeps the bounds.
     """
     column = GOALS.index(main)
-    keeps = np.ones(len(normal), dtype=bool)
+    keeps: BoolArray = np.ones(len(normal), dtype=bool)
     if bounds is not None:
         others = [k for k in range(len(GOALS)) if k != column]
-        keeps = (normal[:, others] <= bounds[others]).all(axis=1)
+        keeps = np.asarray((normal[:, others] <= bounds[others]).all(axis=1))
     if not keeps.any():
         raise CaseError(f"no path keeps the bounds set beside the goal {main}; raise them")
     rest = weights.row.copy()
