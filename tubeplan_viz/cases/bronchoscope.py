@@ -18,9 +18,13 @@ from tubeplan_viz.cases.fields import check_keys, listed, number, point, subtabl
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 
 METHODS = ("kinematic", "dynamic")
-# Curvature that the tip's track may have, 1/mm. The tip is swung by two sections on a moving base, so its track may
-# bend more sharply than a section (0.121 1/mm): twice as sharply, a radius of 4.1 mm.
-TRACK_CURVATURE_SHARE = 2.0
+# Curvature that the tip's track may have, 1/mm. The tip is swung by two sections on a moving base, so its track may bend more
+# sharply than a section: by kinematics twice as sharply. A simulated tip slides and settles under contact and turns on
+# the spot, so its track has no least radius: the largest value there is, which asks for nothing.
+TRACK_CURVATURE_SHARE, NO_LIMIT = 2.0, 10.0
+# Least distance of the tip's middle to the wall, in radii. A simulated robot leans on the wall and ends in a flat disc, which may
+# look at a wall nearer than its radius; that its rim and its body keep clear is measured for themselves.
+TIP_RADII = {"kinematic": 1.0, "dynamic": 0.25}
 # Key of the table [bronchoscope] -> (part, attribute).
 KEYS = {
     "diameter_mm": ("robot", "diameter"),
@@ -117,15 +121,18 @@ def make_bronchoscope_case(table: Mapping[str, Any], *, folder: Path | None = No
         start=text(planner.get("start", "E1"), f"{name} [planner] start").strip().upper(),
         goal=None if goal is None else goal_place(goal, f"{name} [planner] goal"),
         lesion=None if lesion is None else point(lesion, f"{name} [planner] lesion"),
-        curvature_max=number(
-            limits.get("curvature_max", round(TRACK_CURVATURE_SHARE * robot.curvature_max, 4)), f"{name} [limits] curvature_max"
-        ),
-        clearance_min=number(limits.get("clearance_min", robot.radius), f"{name} [limits] clearance_min"),
+        curvature_max=number(limits.get("curvature_max", track_curvature(method, robot)), f"{name} [limits] curvature_max"),
+        clearance_min=number(limits.get("clearance_min", TIP_RADII[method] * robot.radius), f"{name} [limits] clearance_min"),
         rng_seed=whole(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
         time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
         robot=robot,
         settings=PlannerSettings(**parts["settings"]),
     )
+
+
+def track_curvature(method: str, robot: Robot) -> float:
+    """Default limit of the tip's track, 1/mm."""
+    return NO_LIMIT if method == "dynamic" else round(TRACK_CURVATURE_SHARE * robot.curvature_max, 4)
 
 
 def own_value(key: str, value: Any, where: str) -> Any:
