@@ -218,11 +218,18 @@ def branch_points(
     last = nearest_place(line, chain.points[-1]) if after is not None else len(line) - 1
     line = line[min(first, last - 1) : last + 1].copy() if last > 0 else line[:2].copy()
     if begin is not None:
-        # The parent's line was drawn with another neighbour beyond the junction: slide into it.
+        # The parent's line was drawn with another neighbour beyond the junction: go on along it and turn into the branch.
         s = polyline_length(line)
-        fade = np.clip(1.0 - s / max(min(settings.smoothing, s[-1]), 1e-9), 0.0, 1.0)
-        line += fade[:, None] * (begin.points[-1] - line[0])
+        share = np.clip(s / max(min(max(settings.smoothing, float(begin.radii[-1])), s[-1]), 1e-9), 0.0, 1.0)
+        onward = begin.points[-1] + s[:, None] * end_direction(begin, settings.smoothing)
+        line = onward + (share * share * (3.0 - 2.0 * share))[:, None] * (line - onward)
     return even_curve(line, settings.step)
+
+
+def end_direction(line: Centerline, within: float) -> FloatArray:
+    """Unit vector along the last `within` mm of a line, at most half of it, (3,)."""
+    away = chord(line, float(line.arc_length[-1]) - min(within, 0.5 * float(line.arc_length[-1])), float(line.arc_length[-1]))
+    return np.asarray(away / max(float(np.linalg.norm(away)), 1e-12))
 
 
 def nearest_place(line: FloatArray, point: FloatArray) -> int:
