@@ -27,8 +27,12 @@ def test_flat_ends_of_a_tube_become_caps_and_leave_no_rim(phantoms, build, meshi
     assert [cap.label for cap in marked.caps] == ["C1", "C2"]
     assert marked.caps[0].area >= marked.caps[1].area
     found, known = marked.face_cap >= 0, model.surface.face_cap >= 0
-    missed = model.surface.face_areas[known & ~found].sum()
-    assert missed < 0.01 * model.surface.face_areas[known].sum()
+    # The chamfer that marching cubes leave at a rim belongs to the model's caps; only what lies flat must be found.
+    flat = known & (
+        np.abs(model.surface.face_normals @ np.array([cap.normal for cap in model.surface.caps]).T).max(axis=1) > 0.95
+    )
+    missed = model.surface.face_areas[flat & ~found].sum()
+    assert missed < 0.01 * model.surface.face_areas[flat].sum()
     # What is left of the wall is as far from the end's middle as the tube is wide; marching cubes of voxel h cut
     # the rim by up to h / 2 (0.2 mm here, 0.3 mm on cylinder 2), noise by four deviations.
     slack = (0.3 if meshing == "marching_cubes" else 1e-9) + 4.0 * noise

@@ -31,7 +31,6 @@ from tubeplan_viz.verify.spline import BezierPath
 from tubeplan_viz.verify.verification import Check, Verification
 from tubeplan_viz.verify.wall import Lumen, Triangles
 
-SPLINE_PLANNERS = ("tube", "bronchoscope")
 NEEDLE_PLANNERS = ("needle2d", "needle3d")
 LONGEST_MM = 5000.0
 Content = TypeVar("Content")
@@ -118,23 +117,18 @@ def _checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
 
 
 def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
-    if result["planner"]["name"] in NEEDLE_PLANNERS:
+    name = result["planner"]["name"]
+    case = yield from _opened("case.toml", folder, lambda text: tomllib.loads(text))
+    asked = ((case or {}).get("planner") or {}).get("name", "tube")
+    if case is not None and asked != name:
+        yield Check(name="planner", ok=False, found=name, expected=str(asked), text="The planner is that of the case.")
+        return
+    if name in NEEDLE_PLANNERS:
         yield from check_needle(folder, result)
         return
-    if result["planner"]["name"] == "rigid":
+    if name == "rigid":
         yield from check_rigid(folder, result)
         return
-    if result["planner"]["name"] not in SPLINE_PLANNERS:
-        found = result["planner"]["name"]
-        yield Check(
-            name="planner",
-            ok=False,
-            found=found,
-            expected=", ".join(SPLINE_PLANNERS),
-            text=f"Paths of {found} cannot be checked yet.",
-        )
-        return
-    case = yield from _opened("case.toml", folder, lambda text: tomllib.loads(text))
     markups = yield from _opened("path.mrk.json", folder, _markups)
     table = yield from _opened("path.csv", folder, lambda text: text)
     page = None

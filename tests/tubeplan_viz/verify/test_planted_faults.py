@@ -366,8 +366,9 @@ def test_outcome_without_a_path(clean_run: Path) -> None:
     assert [check.name for check in found.checks] == ["schema", "files: digests", "status"]
 
 
-def test_planner_that_cannot_be_checked_yet(clean_run: Path) -> None:
-    lie(clean_run, lambda result: result["planner"].update(name="rigid"))
+@pytest.mark.parametrize("name", ["rigid", "bronchoscope", "needle3d"])
+def test_another_planner_than_the_cases(clean_run: Path, name: str) -> None:
+    lie(clean_run, lambda result: result["planner"].update(name=name))
     assert faults(clean_run) == {"planner"}
 
 
