@@ -14,10 +14,8 @@ from reports import workspace
 from reports.derived import derived_values
 from reports.figures import Steps, step_chart
 from reports.folds import Fold, folds
-from reports.needle import Key
-from reports.needle_drawings import Drawing
-from reports.needle_tables import Table
 from reports.numbers import Phrase, Source, phrase
+from reports.parts import Drawing, Key, Table
 from reports.still import Label, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH, or_dash

@@ -11,9 +11,8 @@ from reports.derived import derived_values
 from reports.folds import Fold, folds
 from reports.needle_charts import convergence_charts
 from reports.needle_ct import Surroundings, ct_drawings, space_drawing
-from reports.needle_drawings import Drawing, cloud_drawings, flat_view, layers_of
+from reports.needle_drawings import cloud_drawings, flat_view, layers_of
 from reports.needle_tables import (
-    Table,
     chances_table,
     controls_table,
     forms_table,
@@ -22,6 +21,7 @@ from reports.needle_tables import (
     obstacles_table,
 )
 from reports.numbers import Phrase, Source, phrase
+from reports.parts import Drawing, Key, Table
 
 WORDS = {"ok": "Holds", "flagged": "Flagged", "infeasible": "No path"}
 PLACES = 2
@@ -29,15 +29,6 @@ CUTS_LINE = (
     "Planes along the needle and through the tightest place (white dot), {} window. Outlines: obstacles; dashed: the safety "
     "distance around them. The path is faint where it is more than 3 mm from the plane."
 )
-
-
-@dataclass(frozen=True)
-class Key:
-    """One figure under the verdict."""
-
-    term: str
-    value: Phrase
-    more: Phrase
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from skimage.measure import find_contours
 
-from reports.needle_drawings import Drawing
+from reports.parts import Drawing
 from reports.places import PLANES
 from reports.slices import Window, cut, png, windows_for
 from reports.still import MARGIN, TALL, WIDE, Label, View, choose_view, still_picture

@@ -9,19 +9,11 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
+from reports.parts import Drawing
 from segmentation.arrays import FloatArray
 
 VIEW_SIZE = 560  # px of the longest side of all drawings together; they share one scale
 CLOUD_SIZE = 300
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """One drawing with its title and unit."""
-
-    title: str
-    drawing: Markup
-    unit: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
-
-from markupsafe import Markup
 
 from reports.needle_charts import error_chart, front_chart
 from reports.numbers import Phrase, Source, phrase
+from reports.parts import Table
 from reports.tables import DASH, or_dash
 
 MISPRINT = (
     "In Zhao et al. (2013), table 2, the printed lengths and angles of RL and LRL miss the target by 6.8 mm and 3.8 mm with the "
     "stated radius of 50 mm; the paths here end on it."
 )
-
-
-@dataclass(frozen=True)
-class Table:
-    """One section with a table."""
-
-    id: str
-    title: str
-    line: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[Phrase, ...], ...]
-    note: str = ""
-    drawing: Markup | None = None
 
 
 def cells(source: Source, key: str, *names: tuple[str, int]) -> tuple[Phrase, ...]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from reports.derived import derived_values
 from reports.folds import Fold, folds
 from reports.numbers import Phrase, Source, phrase
+from reports.parts import Drawing, Key
 from reports.rigid_drawings import LABEL_COLORS, corridor_view, entry_map, goals_chart, label_picture, profile_drawing
 from reports.tables import or_dash
 from segmentation.arrays import BoolArray
@@ -19,24 +19,6 @@ from segmentation.volume import Volume
 
 WORDS = {"ok": "Feasible", "flagged": "Flagged", "infeasible": "No way in"}
 PLANE_NAMES = ("axial", "coronal", "sagittal")
-
-
-@dataclass(frozen=True)
-class Key:
-    """One figure under the verdict."""
-
-    term: str
-    value: Phrase
-    more: Phrase
-
-
-@dataclass(frozen=True)
-class Drawing:
-    """One drawing with its title and a line about it."""
-
-    title: str
-    drawing: Markup
-    line: str = ""
 
 
 @dataclass(frozen=True)

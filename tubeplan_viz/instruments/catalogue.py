@@ -97,15 +97,26 @@ def read_catalogue(path: Path | None = None) -> tuple[Instrument, ...]:
     CatalogueError
         Naming the file, the entry and the key.
     """
+    table, name = catalogue_table(path, shipped=SHIPPED)
+    return make_catalogue(table, name=name)
+
+
+def catalogue_table(path: Path | None, *, shipped: str) -> tuple[dict[str, Any], str]:
+    """The tables of a catalogue file and its name; without a path those of the file `shipped` of this package.
+
+    Raises
+    ------
+    CatalogueError
+        If the file cannot be read or is no TOML.
+    """
     if path is None:
-        text, name = files("tubeplan_viz.instruments").joinpath(SHIPPED).read_text(encoding="utf-8"), SHIPPED
+        text, name = files("tubeplan_viz.instruments").joinpath(shipped).read_text(encoding="utf-8"), shipped
     else:
         text, name = read_text(path), path.name
     try:
-        table = tomllib.loads(text)
+        return tomllib.loads(text), name
     except tomllib.TOMLDecodeError as fault:
         raise CatalogueError(f"{name}: not valid TOML: {fault}") from None
-    return make_catalogue(table, name=name)
 
 
 def read_text(path: Path) -> str:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tubeplan_viz.instruments.catalogue import CatalogueError, read_text
+from tubeplan_viz.instruments.catalogue import CatalogueError, catalogue_table
 from tubeplan_viz.rigid import CoupledInstrument
 
 SHIPPED = "rigid.toml"
@@ -28,14 +26,7 @@ def read_rigid_catalogue(path: Path | None = None) -> dict[str, dict[str, dict[s
     CatalogueError
         Naming the file, the entry and the key.
     """
-    if path is None:
-        text, name = files("tubeplan_viz.instruments").joinpath(SHIPPED).read_text(encoding="utf-8"), SHIPPED
-    else:
-        text, name = read_text(path), path.name
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
-        raise CatalogueError(f"{name}: not valid TOML: {fault}") from None
+    table, name = catalogue_table(path, shipped=SHIPPED)
     unknown = [key for key in table if key not in NUMBERS]
     if unknown:
         raise CatalogueError(f"{name}: unknown table {unknown[0]!r}; expected [[endoscope]] and [[shaver]]")

@@ -13,6 +13,7 @@ from segmentation.mesh import Surface
 from tubeplan_viz.bronchoscope.mover import Step
 from tubeplan_viz.bronchoscope.planner import Node
 from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.base import RunRecording
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module.
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ ROBOT_COLOR, ACTIVE_COLOR = (150, 160, 180), (255, 226, 120)
 ANGLES = ("phi_proximal_deg", "phi_distal_deg")
 
 
-class BronchoscopeRecording:
+class BronchoscopeRecording(RunRecording):
     """A recording that is being written; `open` makes one, `close` publishes it, `abort` leaves no file.
 
     Attributes
@@ -37,13 +38,13 @@ class BronchoscopeRecording:
     """
 
     def __init__(self, sink: Sink, *, case_id: str, frame: str, light: bool) -> None:
-        self._sink, self._case_id, self._frame, self._light = sink, case_id, frame, light
+        super().__init__(sink)
+        self._case_id, self._frame, self._light = case_id, frame, light
         self._seen = np.zeros((0, 3))
         self._tips: list[FloatArray] = []
         self._branches: list[tuple[FloatArray, FloatArray]] = []
         self._refused: list[FloatArray] = []
         self._radius = 1.0
-        self._open = True
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, method: str, frame: str, connect: str | None = None, light: bool = False) -> Self:
@@ -70,11 +71,6 @@ class BronchoscopeRecording:
             sink.discard()
             raise
         return cls(sink, case_id=case_id, frame=frame, light=light)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about the live viewer."""
-        return self._sink.warnings
 
     def log_airway(self, surface: Surface, branches: Sequence[tuple[str, FloatArray]], radius: float) -> None:
         """The wall, the named middle lines of its branches, and the robot's radius, mm."""
@@ -188,22 +184,6 @@ class BronchoscopeRecording:
                 self._sink.log(f"{ACTUATION}/{name}", rr.Scalars(float(told["command"][name])))
         if told["forces_n"]:
             self._sink.log(f"{at.CASE}/force/largest_n", rr.Scalars(float(max(told["forces_n"]))))
-
-    def close(self) -> None:
-        """Publish the file; a second call does nothing."""
-        if self._open:
-            self._open = False
-            try:
-                self._sink.publish(self._blueprint())
-            except BaseException:
-                self._sink.discard()
-                raise
-
-    def abort(self) -> None:
-        """Leave no file; a second call, or one after `close`, does nothing."""
-        if self._open:
-            self._open = False
-            self._sink.discard()
 
     def _blueprint(self) -> Any:
         import rerun.blueprint as rrb

@@ -12,6 +12,7 @@ from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.base import RunRecording
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module.
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ TRIAL_COLOR, TIP_COLOR = (200, 200, 210, 90), (255, 255, 255)
 FORM_COLORS = ((96, 165, 255), (84, 178, 128), (195, 160, 255), (245, 150, 35))
 
 
-class NeedleRecording:
+class NeedleRecording(RunRecording):
     """A recording that is being written; `open` makes one, `close` publishes it, `abort` leaves no file.
 
     Attributes
@@ -38,12 +39,12 @@ class NeedleRecording:
     """
 
     def __init__(self, sink: Sink, *, case_id: str, planner: str, frame: str, light: bool) -> None:
-        self._sink, self._case_id, self._planner, self._frame, self._light = sink, case_id, planner, frame, light
+        super().__init__(sink)
+        self._case_id, self._planner, self._frame, self._light = case_id, planner, frame, light
         self._seen = np.zeros((0, 3))
         self._scene: Scene | None = None
         self._volume: Volume | None = None
         self._last = 0
-        self._open = True
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, planner: str, frame: str, connect: str | None = None, light: bool = False) -> Self:
@@ -67,11 +68,6 @@ class NeedleRecording:
             sink.discard()
             raise
         return cls(sink, case_id=case_id, planner=planner, frame=frame, light=light)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about the live viewer."""
-        return self._sink.warnings
 
     def log_scene(self, entry: FloatArray, target: FloatArray, scene: Scene, safety: float, volume: Volume | None = None) -> None:
         """Entry, target, obstacles and the shells that the path must stay out of; `volume` is the CT for planes at the end."""
@@ -191,22 +187,6 @@ class NeedleRecording:
             if chances["offsets_mm"]:
                 tips = np.array(details["target_mm"], float) + np.array(chances["offsets_mm"], float)
                 self._sink.log(TIPS, rr.Points3D(tips, colors=TIP_COLOR, radii=rr.Radius.ui_points(2.0)), static=True)
-
-    def close(self) -> None:
-        """Publish the file; a second call does nothing."""
-        if self._open:
-            self._open = False
-            try:
-                self._sink.publish(self._blueprint())
-            except BaseException:
-                self._sink.discard()
-                raise
-
-    def abort(self) -> None:
-        """Leave no file; a second call, or one after `close`, does nothing."""
-        if self._open:
-            self._open = False
-            self._sink.discard()
 
     def _blueprint(self) -> Any:
         import rerun.blueprint as rrb

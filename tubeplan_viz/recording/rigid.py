@@ -14,6 +14,7 @@ from PIL import Image
 from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.base import RunRecording
 from tubeplan_viz.rigid import BORDER, Bodies, CoupledInstrument, Problem, RigidPlan, posed, swept
 from tubeplan_viz.rigid.instrument import unit
 
@@ -46,7 +47,7 @@ PLANES: dict[str, tuple[FloatArray, FloatArray]] = {
 }
 
 
-class RigidRecording:
+class RigidRecording(RunRecording):
     """A recording that is being written; `open` makes one, `close` publishes it, `abort` leaves no file.
 
     Attributes
@@ -56,9 +57,9 @@ class RigidRecording:
     """
 
     def __init__(self, sink: Sink, *, case_id: str, light: bool) -> None:
-        self._sink, self._case_id, self._light = sink, case_id, light
+        super().__init__(sink)
+        self._case_id, self._light = case_id, light
         self._seen = np.zeros((1, 3))
-        self._open = True
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, connect: str | None = None, light: bool = False) -> Self:
@@ -82,11 +83,6 @@ class RigidRecording:
             sink.discard()
             raise
         return cls(sink, case_id=case_id, light=light)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about the live viewer."""
-        return self._sink.warnings
 
     def log_scene(self, problem: Problem) -> None:
         """Structures near the way, the border of the entry region and the lesion."""
@@ -182,22 +178,6 @@ class RigidRecording:
             points = [(row["brain_mm"], -row["tissue_voxels"] / 20.0) for row in rows]
             colors = [at.PATH if row["pareto"] else (110, 116, 130) for row in rows]
             self._sink.log(PARETO, rr.Points2D(points, colors=colors, radii=rr.Radius.ui_points(2.5)), static=True)
-
-    def close(self) -> None:
-        """Publish the file; a second call does nothing."""
-        if self._open:
-            self._open = False
-            try:
-                self._sink.publish(self._blueprint())
-            except BaseException:
-                self._sink.discard()
-                raise
-
-    def abort(self) -> None:
-        """Leave no file; a second call, or one after `close`, does nothing."""
-        if self._open:
-            self._open = False
-            self._sink.discard()
 
     def _blueprint(self) -> Any:
         import rerun as rr

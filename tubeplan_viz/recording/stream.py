@@ -18,6 +18,7 @@ from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.endoluminal import Film
 from tubeplan_viz.plan import Limits, PlanStep
 from tubeplan_viz.recording import entities as at
+from tubeplan_viz.recording.base import RunRecording
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module,
 # so that commands which record nothing start at once.
@@ -32,7 +33,7 @@ WALK_SLICE_STEP_MM = 4.0
 OVERLAY_SPACING_MM = 1.0
 
 
-class Recording:
+class Recording(RunRecording):
     """A recording that is being written; `open` makes one.
 
     As a context manager it is published at the end of the block, and discarded when
@@ -45,7 +46,7 @@ class Recording:
     """
 
     def __init__(self, sink: Sink, contents: Contents, *, case_id: str, light: bool) -> None:
-        self._sink = sink
+        super().__init__(sink)
         self._contents = contents
         self._case_id = case_id
         self._light = light
@@ -53,7 +54,6 @@ class Recording:
         self._center: FloatArray | None = None
         self._seen: FloatArray | None = None
         self._last = 0
-        self._open = True
 
     @classmethod
     def open(
@@ -120,11 +120,6 @@ class Recording:
             sink.discard()
             raise
         return cls(sink, contents, case_id=case_id, light=light)
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Sentences about the live viewer."""
-        return self._sink.warnings
 
     def log_volume(self, volume: Volume, region: Region | None) -> None:
         """CT and mask around the lumen at half resolution or less; nothing in a light recording."""
@@ -259,23 +254,10 @@ class Recording:
         self._show()
         self._sink.flush()
 
-    def close(self) -> None:
-        """Publish the file: packed, checked, synced and renamed; a second call does nothing."""
+    def _blueprint(self) -> Any:
         from tubeplan_viz.recording.blueprint import blueprint
 
-        if self._open:
-            self._open = False
-            try:
-                self._sink.publish(blueprint(self._contents, self._eye()))
-            except BaseException:
-                self._sink.discard()
-                raise
-
-    def abort(self) -> None:
-        """Leave no file; a second call, or one after `close`, does nothing."""
-        if self._open:
-            self._open = False
-            self._sink.discard()
+        return blueprint(self._contents, self._eye())
 
     def __enter__(self) -> Self:
         return self
@@ -314,7 +296,5 @@ class Recording:
         return viewpoint(np.asarray(self._seen), self._contents.frame, radius=4.0)
 
     def _show(self) -> None:
-        from tubeplan_viz.recording.blueprint import blueprint
-
-        self._sink.show(blueprint(self._contents, self._eye()))
+        self._sink.show(self._blueprint())
         self._sink.flush()
