@@ -82,7 +82,9 @@ def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> in
         typer.echo(json.dumps({**{key: result[key] for key in keys}, "folder": str(folder), "files": files}))
         return status
     metrics, limits = result["metrics"], result["limits"]
-    words = {0: "holds: both limits are kept and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
+    limited = [limits[key] is not None for key in ("clearance_min_mm", "curvature_max_per_mm")]
+    kept = "both limits are kept" if all(limited) else "the limit is kept" if any(limited) else "the path is free"
+    words = {0: f"holds: {kept} and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
     typer.echo(words if result["reason"] is None else f"{words}: {result['reason']}")
     told = (
         ("path {:.1f} mm", metrics["length_mm"], ()),

@@ -11,9 +11,11 @@ from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.rigid.collision import collide, to_frame
 from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, posed, swept, unit, up_of
 from tubeplan_viz.rigid.obstacles import Obstacles
+from tubeplan_viz.rigid.witnesses import Witnesses
 
 TURN_SLACK_MM = 0.4  # a turn that is not proved free with this much room is refused
 TURN_PARTS = 4
+TURN_ROUNDS = 2
 TURN_LOOKS = (0.5, 0.25, 0.75)  # poses of a turn that are looked at before it is proved
 
 
@@ -33,6 +35,8 @@ class Judge:
         Decide by the exact test what the envelope refuses.
     evaluations : int
         Instruments put to the test so far: pushes count 1, a turn as many poses as it takes.
+    witnesses : Witnesses, optional
+        What stopped instruments before; one that holds such a place is refused without an evaluation.
     """
 
     obstacles: Obstacles
@@ -41,6 +45,7 @@ class Judge:
     margin: float = 0.0
     exact: bool = False
     evaluations: int = field(default=0)
+    witnesses: Witnesses | None = None
 
     def push(self, start: FloatArray, end: FloatArray, roll: FloatArray) -> tuple[IntArray, FloatArray]:
         """What the instrument meets while its tip goes from `start` to `end`, both (n, 3) LPS.
@@ -52,11 +57,22 @@ class Judge:
         place : (n, 3) float array, LPS mm
             Of that structure; not a number where it is free.
         """
-        self.evaluations += len(start)
-        bodies = to_frame(swept(self.instrument, start, end, roll), self.obstacles.frame)
+        bodies = swept(self.instrument, start, end, roll)
         return self._verdict(bodies.grown(self.margin) if self.margin else bodies)
 
     def _verdict(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
+        """What instruments (two bodies each, LPS mm) meet, first by the witnesses, then by an evaluation."""
+        if self.witnesses is None:
+            return self._evaluated(bodies)
+        label, place = self.witnesses.stopping(bodies)
+        rows = np.flatnonzero(label < 0)
+        label[rows], place[rows] = self._evaluated(bodies.take(np.column_stack([2 * rows, 2 * rows + 1]).reshape(-1)))
+        self.witnesses.add(label[rows], place[rows])
+        return label, place
+
+    def _evaluated(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
+        self.evaluations += len(bodies) // 2
+        bodies = to_frame(bodies, self.obstacles.frame)
         hits = collide(self.obstacles, bodies, exact=self.exact)
         label, place = hits.label.reshape(-1, 2), hits.place.reshape(-1, 2, 3)
         # The shaver's hit is told where both hit.
@@ -81,8 +97,13 @@ class Judge:
         count = np.maximum(np.ceil(depth[rows] * 0.5 * angle / TURN_SLACK_MM).astype(int), 1)
         owner = np.repeat(rows, count)
         share = (np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / np.repeat(count, count)
-        blocked = ~self._pose_free(node, before, after, roll, owner, share, np.full(len(owner), TURN_SLACK_MM), depth)
-        free[owner[blocked]] = False
+        # Every so many poses first: a turn that is refused there needs no others.
+        rank = np.concatenate([np.arange(n) for n in count]) if len(count) else count
+        for turn in range(TURN_ROUNDS):
+            some = np.flatnonzero((rank % TURN_ROUNDS == turn) & free[owner])
+            slack = np.full(len(some), TURN_SLACK_MM)
+            blocked = ~self._pose_free(node, before, after, roll, owner[some], share[some], slack, depth)
+            free[owner[some[blocked]]] = False
         return free
 
     def _pose_free(
@@ -97,10 +118,9 @@ class Judge:
         depth: FloatArray,
     ) -> BoolArray:
         """Whether the poses of some turns at some share of the way, grown by some mm, are free: (len(rows),)."""
-        self.evaluations += len(rows)
         direction = between(before[rows], after[rows], share)
         bodies = posed(self.instrument, node[rows], direction, roll[rows])
-        near = to_frame(bodies.cut(np.repeat(node[rows], 2, axis=0), np.repeat(depth[rows], 2)), self.obstacles.frame)
+        near = bodies.cut(np.repeat(node[rows], 2, axis=0), np.repeat(depth[rows], 2))
         label, _ = self._verdict(near.grown(np.repeat(slack, 2) + self.margin))
         return np.asarray(label < 0)
 

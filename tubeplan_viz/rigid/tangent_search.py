@@ -5,13 +5,14 @@
 # the tangent, and the node lies d_t beyond the tangent point, across the tangent, away from the obstacle. The push from the
 # node to the goal and the one from the start to the node must be free, and so must the turn between them. (3) What is
 # still blocked is continued from its node in the same way, up to the number of nodes allowed. (4) A part of the way that is
-# free serves all starts, so starts that remain are offered the nodes of their nearest solved neighbours, in waves.
+# free serves all starts: free ways from many nodes to the goal are found once and offered to a spread of starts, then to those
+# beside solved ones; starts that remain are offered the nodes of their nearest solved neighbours, in waves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,11 +21,16 @@ from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.errors import CaseError
 from tubeplan_viz.rigid.instrument import unit
 from tubeplan_viz.rigid.judge import Judge
+from tubeplan_viz.rigid.shared_nodes import alternating, lines_of_nodes
+from tubeplan_viz.rigid.witnesses import Witnesses
 
 CELLS_SEEN = 3000  # of a structure, as seen from a node; more only cost time
 CHUNK = 48
-JOIN_MM = (6.0, 9.0, 12.0, 16.0, 22.0)  # how far behind its start a straight path is joined from another start
-BESIDE_MM, THOROUGH = 3.0, 2  # starts so near a solved one are offered so many times as many lines
+BESIDE_MM = 5.0  # starts so near a solved one are offered every node of the pool
+LEAST_LEG_MM = 5.0  # between a node and the goal
+LEGS_TRIED, LEGS_BATCH = 4000, 500  # ways from the goal that are looked at, and how many before what stopped them is remembered
+STRAIGHT_SHARED = 40  # straight paths whose places are offered as nodes
+POOL, OFFER_BATCH = 450, 32  # nodes offered; so many at a time
 SPREAD_MM = 3.0  # tangents are looked for from one start in every cube of this side
 Progress = Callable[[int, int], None]
 
@@ -171,6 +177,7 @@ def search(
         Called with starts decided so far and their number.
     """
     begun = judge.evaluations
+    judge = replace(judge, witnesses=judge.witnesses or Witnesses())
     n = len(starts)
     state = _State(starts, goal, judge, list(known), np.zeros(n, bool), np.zeros((n, len(judge.obstacles.names)), np.int64))
     state.solved[[path.start for path in known]] = True
@@ -183,11 +190,9 @@ def search(
             for _ in range(settings.nodes):
                 suffixes = _bend(state, suffixes, roll, settings)
                 tell(int(state.solved.sum()), n)
+        _share(state, 0.0, lambda: tell(int(state.solved.sum()), n))
         if state.solved.any():
-            _onto_straight(state, np.flatnonzero(~state.solved), settings.neighbours)
-            tell(int(state.solved.sum()), n)
             _from_neighbours(state, settings, lambda: tell(int(state.solved.sum()), n))
-            _onto_straight(state, _beside_solved(state), settings.neighbours * THOROUGH)
     tell(n, n)
     return SearchResult(tuple(state.paths), state.solved, blocked_by, blocked_at, state.refused, judge.evaluations - begun)
 
@@ -248,8 +253,18 @@ def _spread(starts: FloatArray, rows: IntArray) -> IntArray:
     return rows[first]
 
 
-def _finish(state: _State, rows: IntArray, tails: Sequence[Sequence[FloatArray]], rolls: FloatArray) -> None:
-    """Join starts to free ways to the goal: the push to the first node, and the turn there."""
+def _finish(
+    state: _State,
+    rows: IntArray,
+    tails: Sequence[Sequence[FloatArray]],
+    rolls: FloatArray,
+    which: IntArray | None = None,
+    served: IntArray | None = None,
+) -> None:
+    """Join starts to free ways to the goal: the push to the first node, and the turn there.
+
+    `served` is counted on at `which` for every start that is solved.
+    """
     if not len(rows):
         return
     first, second = np.array([tail[0] for tail in tails]), np.array([tail[1] for tail in tails])
@@ -263,35 +278,54 @@ def _finish(state: _State, rows: IntArray, tails: Sequence[Sequence[FloatArray]]
     for j in live[free]:
         if not state.solved[rows[j]]:
             state.solve(int(rows[j]), (state.starts[rows[j]], *tails[j]), rolls[j])
+            if which is not None and served is not None:
+                served[which[j]] += 1
 
 
-def _beside_solved(state: _State) -> IntArray:
-    """Starts without a path that lie beside one that has a path."""
-    rows = np.flatnonzero(~state.solved)
-    away, _ = cKDTree(state.starts[state.solved]).query(state.starts[rows])
-    return rows[away <= BESIDE_MM]
-
-
-def _onto_straight(state: _State, rows: IntArray, lines: int) -> None:
-    """Offer places on straight paths as nodes: those a little behind their starts, on the lines that turn a start least."""
+def _share(state: _State, roll: float, tell: Callable[[], None]) -> None:
+    """Offer free ways from many nodes to the goal to a spread of starts; then to starts beside solved ones, in waves."""
+    step = SPREAD_MM
+    every = state.starts[_spread(state.starts, np.arange(len(state.starts)))]
+    grid = lines_of_nodes(every, state.goal, step, LEAST_LEG_MM)
+    grid = grid[alternating(len(grid))[:LEGS_TRIED]]
+    pool: list[tuple[Sequence[FloatArray], float]] = [
+        (list(path.nodes[1:]), path.roll) for path in state.paths if len(path.nodes) > 2
+    ]
+    for part in np.array_split(grid, max(1, len(grid) // LEGS_BATCH)):
+        label, _ = state.judge.push(part, np.broadcast_to(state.goal, part.shape), np.full(len(part), roll))
+        pool += [([node, state.goal], roll) for node in part[label < 0]]
     straight = [path for path in state.paths if len(path.nodes) == 2]
-    if not straight or not len(rows):
-        return
-    begin, rolls = np.array([path.nodes[0] for path in straight]), np.array([path.roll for path in straight])
-    way = unit(state.goal - begin)
-    for depth in JOIN_MM:
-        nodes = begin + depth * way
-        # The angle at each node between the push from each start and the line on to the goal, (rows, lines).
-        turn = np.empty((len(rows), len(nodes)))
-        for part in np.array_split(np.arange(len(rows)), max(1, len(rows) * len(nodes) // 1_000_000)):
-            push = unit(nodes[None] - state.starts[rows[part], None])
-            turn[part] = np.arccos(np.clip(np.einsum("nmi,mi->nm", push, way), -1.0, 1.0))
-        # From the line that turns least to the one that turns most: near ones are often blocked alike.
-        for rank in np.unique(np.linspace(0, len(nodes) - 1, lines).round().astype(int)):
-            live = np.flatnonzero(~state.solved[rows])
-            best = np.argpartition(turn[live], rank, axis=1)[:, rank] if len(live) else live
-            tails = [(nodes[k], state.goal) for k in best]
-            _finish(state, rows[live], tails, rolls[best])
+    for path in (straight[k] for k in alternating(len(straight))[:STRAIGHT_SHARED]):
+        pool += [([node, state.goal], path.roll) for node in lines_of_nodes(path.nodes[:1], state.goal, step, LEAST_LEG_MM)]
+    pool = [pool[k] for k in alternating(len(pool))[:POOL]]
+    served = np.zeros(len(pool), dtype=np.int64)
+    offered = state.solved.copy()
+    rows = _spread(state.starts, np.flatnonzero(~state.solved))
+    while len(rows) and len(pool):
+        offered[rows] = True
+        _offer(state, rows, pool, served)
+        tell()
+        rest = np.flatnonzero(~offered & ~state.solved)
+        if not state.solved.any() or not len(rest):
+            return
+        away, _ = cKDTree(state.starts[state.solved]).query(state.starts[rest])
+        rows = rest[away <= BESIDE_MM]
+
+
+def _offer(state: _State, rows: IntArray, pool: Sequence[tuple[Sequence[FloatArray], float]], served: IntArray) -> None:
+    """Join starts to ways of the pool, those first that have served most; `served` is counted on."""
+    order, batch, k = np.argsort(-served, kind="stable"), 1, 0
+    while k < len(order):
+        live = rows[~state.solved[rows]]
+        if not len(live):
+            return
+        some = order[k : k + batch]
+        which = np.tile(some, len(live))
+        _finish(
+            state, np.repeat(live, len(some)), [pool[j][0] for j in which], np.array([pool[j][1] for j in which]), which, served
+        )
+        k += len(some)
+        batch = min(2 * batch, OFFER_BATCH)
 
 
 def _from_neighbours(state: _State, settings: SearchSettings, tell: Callable[[], None]) -> None:
