@@ -19,8 +19,10 @@ from reports.parts import Drawing, Key, Table
 from reports.still import Label, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH, or_dash
+from reports.walk import Walk, stages_walk
 from reports.wall import light_mesh
 from segmentation.mesh import Surface
+from tubeplan_viz.endoluminal import Still
 
 WORDS = {"ok": "Reached", "flagged": "Flagged", "infeasible": "Not reached"}
 REACH_WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "bend", "collision": "collision"}
@@ -48,9 +50,10 @@ class RobotPage:
     tables: tuple[Table, ...]
     folds: tuple[Fold, ...]
     foot: str
+    walk: Walk | None = None
 
 
-def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Surface) -> RobotPage:
+def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Surface, stills: Sequence[Still] = ()) -> RobotPage:
     """Everything that the page of one plan shows."""
     source = Source(result, derived_values(result))
     status, details = str(result["status"]), result["details"]
@@ -73,6 +76,7 @@ def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Sur
         folds=folds(source, ()),
         foot="Clearance is the distance from the tip's track, or the robot's axis, to the wall; the robot's radius is taken "
         "off where a table says so.",
+        walk=stages_walk(source, stills),
     )
 
 

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -26,6 +26,7 @@ from segmentation.arrays import BoolArray
 from segmentation.errors import TubeplanError
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
+from tubeplan_viz.endoluminal import Still
 from tubeplan_viz.result import Comparison, Review
 
 
@@ -162,7 +163,7 @@ def render_needle(case_id: str, result: Mapping[str, Any], around: Surroundings)
     return _filled("needle.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
 
 
-def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surface) -> str:
+def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surface, stills: Sequence[Still] = ()) -> str:
     """The report of one run of the bronchoscope robot as HTML, without outside references and without scripts.
 
     Raises
@@ -170,7 +171,7 @@ def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surfac
     ReportError
         If the result holds numbers that are not finite.
     """
-    page = make_bronchoscope_page(case_id, result, surface)
+    page = make_bronchoscope_page(case_id, result, surface, stills)
     return _filled(
         "bronchoscope.html.j2", script="", style=_style(), page=page, result_json=embedded(result), json_id="tubeplan-result"
     )

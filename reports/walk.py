@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from reports.numbers import Figure, Phrase, Source, phrase, printed
-from tubeplan_viz.endoluminal import Film
+from tubeplan_viz.endoluminal import Film, Still
 
 BEFORE_MM = 3.0  # a fork is seen best from a little before it
 
@@ -61,6 +61,33 @@ def walk_of(source: Source, film: Film | None) -> Walk | None:
     step = printed(film.step, 1)
     line = f"Drawn from the wall mesh, one picture every {step} mm; blue is the way ahead. 12 o’clock is the picture’s top."
     return Walk(tuple(one for _, one in sorted(cards, key=lambda pair: pair[0])), line)
+
+
+def stages_walk(source: Source, stills: Sequence[Still]) -> Walk | None:
+    """What the camera in the robot's tip sees at the start and where each stage of its plan ends.
+
+    Parameters
+    ----------
+    source : Source
+        Of result.json; stages stand in ``details.stages``.
+    stills : sequence of Still
+        One picture at the start and one at the end of each stage; none for no walk.
+    """
+    if not stills:
+        return None
+    names = ["start", *(str(stage["name"]) for stage in source.result["details"]["stages"])]
+    cards = tuple(
+        Card(
+            name.capitalize(),
+            phrase(f"{printed(still.arc_length, 1)} mm"),
+            phrase("where the robot begins" if k == 0 else f"end of stage {k}"),
+            data_uri(still.jpeg),
+            f"View from the robot's tip, {name}",
+            still.arc_length,
+        )
+        for k, (name, still) in enumerate(zip(names, stills, strict=True))
+    )
+    return Walk(cards, "What a camera in the robot’s tip sees, drawn from the wall mesh; blue is the way ahead.")
 
 
 def card(film: Film, title: str, where: Phrase, told: Phrase, seen_from: float, go: float) -> Card:

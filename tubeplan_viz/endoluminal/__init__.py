@@ -1,7 +1,7 @@
 """The lumen from inside: what a camera at the instrument's tip would see along the path, and where to turn."""
 
 from tubeplan_viz.endoluminal.camera import Camera, path_cameras
-from tubeplan_viz.endoluminal.film import Film, FilmSettings, Still, make_film
+from tubeplan_viz.endoluminal.film import Film, FilmSettings, Still, film_stills, make_film
 from tubeplan_viz.endoluminal.render import Interior
 from tubeplan_viz.endoluminal.steps import WalkStep, clock, patient_words, walk_steps
 
@@ -13,6 +13,7 @@ __all__ = [
     "Still",
     "WalkStep",
     "clock",
+    "film_stills",
     "make_film",
     "path_cameras",
     "patient_words",

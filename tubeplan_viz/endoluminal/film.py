@@ -117,18 +117,36 @@ def make_film(
     count = int(np.clip(round(length / settings.step) + 1, 2, settings.most))
     places = np.linspace(0.0, length, count)
     here = np.column_stack([np.interp(places, arc_length, points[:, k]) for k in range(3)])
+    cameras = path_cameras(here)
+    stills = film_stills(surface, places, cameras, arc_length, points, clearance, flagged, settings, progress=progress)
+    return Film(size=settings.size, step=length / (count - 1), stills=stills)
+
+
+def film_stills(
+    surface: Surface,
+    places: FloatArray,
+    cameras: Sequence[Camera],
+    arc_length: FloatArray,
+    points: FloatArray,
+    clearance: FloatArray,
+    flagged: Sequence[FlaggedInterval],
+    settings: FilmSettings,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Still, ...]:
+    """Pictures of given cameras at given arc lengths of a path; parameters as `make_film`."""
     room = np.interp(places, arc_length, clearance)
     interior = Interior(surface)
     stills = []
-    for number, (s, camera) in enumerate(zip(places, path_cameras(here), strict=True)):
+    for number, (s, camera) in enumerate(zip(places, cameras, strict=True)):
         # In a narrow place the light must not die at once: the lumen ahead sets the scale as well.
         radius = float(max(room[number], np.median(clearance)))
         picture = Image.fromarray(interior.picture(camera, settings.size, radius=radius).astype(np.uint8))
         draw_way(picture, interior, camera, float(s), arc_length, points, radius, flagged)
         stills.append(Still(arc_length=float(s), camera=camera, jpeg=packed(picture, settings.quality)))
         if progress is not None:
-            progress(number + 1, count)
-    return Film(size=settings.size, step=length / (count - 1), stills=tuple(stills))
+            progress(number + 1, len(cameras))
+    return tuple(stills)
 
 
 def draw_way(

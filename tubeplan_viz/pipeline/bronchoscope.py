@@ -27,6 +27,7 @@ from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Stopwatch
 from tubeplan_viz.pipeline.tree import Tree, endpoint_details, grow_tree
 from tubeplan_viz.pipeline.tube import surface_details
+from tubeplan_viz.pipeline.walk import stage_stills
 from tubeplan_viz.plan import FlagKind, Limits, NoPathError, Plan, PlanStatus
 from tubeplan_viz.profile import certify, flag_stretches, measure_closely, measure_path, path_metrics, with_peaks
 from tubeplan_viz.recording.bronchoscope import BronchoscopeRecording
@@ -137,7 +138,10 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
         folder.write_json("path.mrk.json", slicer_markups(result))
         if options.report:
             with watch.stage("report"):
-                write_page(render_bronchoscope(case_name(case), result, written), folder.path("report.html"))
+                stills = stage_stills(
+                    given.tree.surface, plan.profile, way.plan.steps, [stage["goal_mm"] for stage in result["details"]["stages"]]
+                )
+                write_page(render_bronchoscope(case_name(case), result, written, stills), folder.path("report.html"))
         return folder.finish(result)
 
 
