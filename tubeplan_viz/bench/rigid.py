@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import resource
 import time
 
 import numpy as np
 
-from segmentation.anatomy.nasal import shrink
+from segmentation.anatomy.nasal import propose_lesion, propose_scene, shrink
 from segmentation.synthetic.nasal import NasalPhantomSettings, nasal_phantom
+from tubeplan_viz.bench.head_ct import CRANIUM, read_head_ct
 from tubeplan_viz.bench.rigid_brute import BruteForce, brute_force
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.pipeline import Notify, silent
@@ -51,7 +53,31 @@ def rigid(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
         if side == "left":
             notify("random poses", 0, 0)
             rows += poses(problem, POSES // 10 if quick else POSES)
-    return rows
+    if not CRANIUM.exists():
+        notify("skipped: the real head CT (Debian's package invesalius-examples is not installed)", 0, 0)
+        return rows
+    return rows + real_head(notify)
+
+
+def real_head(notify: Notify) -> list[Row]:
+    """Starts, time and memory of the search for the left optic canal on a real head CT, with the mucosa shrunken."""
+    notify("real head CT", 0, 0)
+    begun = time.perf_counter()
+    scene = propose_scene(read_head_ct())
+    lesion = propose_lesion(scene, "left")
+    if lesion is None:
+        return [Row(case="real head CT, left", figure="target at the optic canal", ours=0.0, target="found", holds=False)]
+    problem = make_problem(shrink(scene, 1.0, "left").scene, "left", lesion.center, instrument=CoupledInstrument())
+    found = search(problem.judge(), problem.starts, problem.goal, SearchSettings())
+    seconds = time.perf_counter() - begun
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    case = "real head CT, left"
+    return [
+        Row(case=case, figure="starts", ours=float(len(problem.starts))),
+        Row(case=case, figure="feasible starts", ours=float(found.feasible.sum())),
+        Row(case=case, figure="time with the scene, s", ours=seconds, target="under 60", holds=seconds < 60.0),
+        Row(case=case, figure="greatest memory, GB", ours=memory, target="under 3", holds=memory < 3.0),
+    ]
 
 
 def compared(case: str, problem: Problem, found: SearchResult, every: BruteForce) -> list[Row]:
