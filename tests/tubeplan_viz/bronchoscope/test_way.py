@@ -131,6 +131,8 @@ def test_the_run_folder_holds_the_actuation_and_the_states(robot_run: Path) -> N
     assert max(np.diff(result["path"]["s_mm"])) <= 0.25 + 1e-9
     page = (robot_run / "report.html").read_text()
     assert "Research use, not for clinical decisions" in page
+    stages = json.loads((robot_run / "result.json").read_text())["details"]["stages"]
+    assert page.count('src="data:image/jpeg;base64,') == len(stages) + 1  # what the tip sees: the start, each stage's end
     assert (robot_run / "recording.rrd").stat().st_size > 10_000
 
 
