@@ -124,7 +124,8 @@ def junctions(
             if other.parent == number and k not in route
         ]
         nearest = int(np.linalg.norm(line - place, axis=1).argmin())
-        if others:
+        # A fork within a radius of the start is the start's own end of the lumen, which lies beside or behind it.
+        if others and float(even[nearest]) > room:
             found.append((float(even[nearest]), room, others))
     return found
 
