@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tarfile
 from functools import cache
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from segmentation.archive import unpack as unpack_archive
 from segmentation.errors import RegionError
 from segmentation.images import read_ct
 from segmentation.lumen import SegmentationSettings, measure_shape, segment_lumen
@@ -38,8 +38,7 @@ def volume_of(name: str, file: str, folder: Path) -> Volume:
     source = DATA / name / file
     if source.suffix != ".xz":
         return read_ct(source).volume
-    with tarfile.open(source) as archive:
-        archive.extractall(folder / name, filter="data")
+    unpack_archive(source, folder / name)
     return read_ct(next(path for path in (folder / name).iterdir() if path.is_dir())).volume
 
 

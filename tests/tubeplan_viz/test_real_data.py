@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tarfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from scipy.interpolate import BSpline
 
 from reports.slices import Window, straightened
 from reports.wall import parallel_frames
+from segmentation.archive import unpack as unpack_archive
 from segmentation.images import read_ct
 from segmentation.mesh_files import read_surface
 from tubeplan_viz.bench.renal import hubmap_tips, orifice_and_calyces
@@ -36,8 +36,7 @@ def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         target = folder / name
         if not target.exists():
             (archive,) = (DATA / name).glob("*.tar.xz")
-            with tarfile.open(archive) as content:
-                content.extractall(target, filter="data")
+            unpack_archive(archive, target)
         return next(file for file in sorted(target.rglob("*")) if file.is_file()).parent
 
     return unpack

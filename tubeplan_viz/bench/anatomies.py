@@ -6,12 +6,12 @@
 
 from __future__ import annotations
 
-import tarfile
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from segmentation.archive import unpack as unpack_archive
 from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from segmentation.synthetic.urography import write_demo_series
@@ -84,8 +84,7 @@ def read_lumen(source: Path | None, anatomy: str | None, folder: Path) -> Surfac
         write_demo_series(folder)
         source = folder
     elif source.name.endswith(".tar.xz"):
-        with tarfile.open(source) as content:
-            content.extractall(folder, filter="data")
+        unpack_archive(source, folder)
         source = next(file for file in sorted(folder.rglob("*")) if file.is_file()).parent
     return load_lumen(InputCase(ct=source, anatomy=anatomy)).surface
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tarfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,8 @@ import numpy as np
 import pytest
 from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, generate_uid
+
+from segmentation.archive import unpack as unpack_archive
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data"
 
@@ -147,8 +148,7 @@ def real_ct(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
             return case
         if name not in unpacked:
             unpacked[name] = tmp_path_factory.mktemp(name)
-            with tarfile.open(archives[0]) as archive:
-                archive.extractall(unpacked[name], filter="data")
+            unpack_archive(archives[0], unpacked[name])
         return unpacked[name]
 
     return get

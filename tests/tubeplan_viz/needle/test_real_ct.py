@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from segmentation.archive import unpack as unpack_archive
 from segmentation.images import read_ct
 from tubeplan_viz.cli.app import status_of
 from tubeplan_viz.verify import verify_run
@@ -43,8 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if not ARCHIVE.exists():
         pytest.skip("the shared CT data does not stand beside the repository")
     place = tmp_path_factory.mktemp("chest")
-    with tarfile.open(ARCHIVE) as archive:
-        archive.extractall(place / "all", filter="data")
+    unpack_archive(ARCHIVE, place / "all")
     next((place / "all").iterdir()).rename(place / "ct")
     return place
 
