@@ -15,7 +15,7 @@ from reports.derived import derived_values
 from reports.figures import Steps, step_chart
 from reports.folds import Fold, folds
 from reports.numbers import Phrase, Source, phrase
-from reports.parts import Drawing, Key, Table
+from reports.parts import Drawing, Key, PlanPage, Table
 from reports.still import Label, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH, or_dash
@@ -31,18 +31,9 @@ PLACES = 2
 
 
 @dataclass(frozen=True)
-class RobotPage:
-    """What the template prints, in its order."""
+class RobotPage(PlanPage):
+    """What the template prints after the head, in its order."""
 
-    title: str
-    case_id: str
-    status: str
-    word: str
-    line: str
-    headline: Phrase
-    lead: Phrase
-    warnings: tuple[str, ...]
-    keys: tuple[Key, ...]
     views_title: str
     views_line: str
     still: Markup

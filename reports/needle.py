@@ -21,7 +21,7 @@ from reports.needle_tables import (
     obstacles_table,
 )
 from reports.numbers import Phrase, Source, phrase
-from reports.parts import Drawing, Key, Table
+from reports.parts import Drawing, Key, PlanPage, Table
 
 WORDS = {"ok": "Holds", "flagged": "Flagged", "infeasible": "No path"}
 PLACES = 2
@@ -32,18 +32,9 @@ CUTS_LINE = (
 
 
 @dataclass(frozen=True)
-class NeedlePage:
-    """What the template prints, in its order."""
+class NeedlePage(PlanPage):
+    """What the template prints after the head, in its order."""
 
-    title: str
-    case_id: str
-    status: str
-    word: str
-    line: str
-    headline: Phrase
-    lead: Phrase
-    warnings: tuple[str, ...]
-    keys: tuple[Key, ...]
     cuts_line: str
     cuts: tuple[Drawing, ...]
     space: Drawing | None

@@ -19,6 +19,21 @@ class Key:
 
 
 @dataclass(frozen=True)
+class PlanPage:
+    """The head that the pages of planners share: what the template prints first, in its order."""
+
+    title: str
+    case_id: str
+    status: str
+    word: str
+    line: str
+    headline: Phrase
+    lead: Phrase
+    warnings: tuple[str, ...]
+    keys: tuple[Key, ...]
+
+
+@dataclass(frozen=True)
 class Drawing:
     """One drawing with its title, its unit and a line about it."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from reports.derived import derived_values
 from reports.folds import Fold, folds
 from reports.numbers import Phrase, Source, phrase
-from reports.parts import Drawing, Key
+from reports.parts import Drawing, Key, PlanPage
 from reports.rigid_drawings import LABEL_COLORS, corridor_view, entry_map, goals_chart, label_picture, profile_drawing
 from reports.tables import or_dash
 from segmentation.arrays import BoolArray
@@ -36,18 +36,9 @@ class Part:
 
 
 @dataclass(frozen=True)
-class RigidPage:
-    """What the template prints, in its order."""
+class RigidPage(PlanPage):
+    """What the template prints after the head, in its order."""
 
-    title: str
-    case_id: str
-    status: str
-    word: str
-    line: str
-    headline: Phrase
-    lead: Phrase
-    warnings: tuple[str, ...]
-    keys: tuple[Key, ...]
     parts: tuple[Part, ...]
     folds: tuple[Fold, ...]
 

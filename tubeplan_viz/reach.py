@@ -271,15 +271,7 @@ def reach_document(
         )
     return {
         "software": provenance.software,
-        "provenance": {
-            "software": provenance.software,
-            "version": provenance.version,
-            "inputs": [{"name": name, "sha256": sha256} for name, sha256 in provenance.inputs],
-            "rng_seed": provenance.rng_seed,
-            "settings": provenance.settings,
-            "created_utc": provenance.created_utc,
-            "platform": provenance.platform,
-        },
+        "provenance": provenance.details(),
         "case_id": case_name(case),
         "method": case.method,
         "robot": {

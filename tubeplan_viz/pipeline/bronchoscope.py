@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -99,7 +100,7 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
                 light=options.light,
             )
             warnings.extend(stream.warnings)
-        try:
+        with stream or nullcontext():
             if stream is not None:
                 stream.log_airway(given.tree.surface, [(b.name, b.line.points) for b in given.airway.branches], case.robot.radius)
             with watch.stage("plan") as progress:
@@ -126,10 +127,6 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
                 with watch.stage("recording"):
                     stream.finish(document(), way.plan.steps)
                     stream.close()
-        except BaseException:
-            if stream is not None:
-                stream.abort()
-            raise
         result = document()
         folder.write_text("case.toml", bronchoscope_case_text(case, target))
         folder.write_text("path.csv", path_csv(plan.profile))

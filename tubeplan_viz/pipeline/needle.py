@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def run_needle(case: NeedleCase, target: Path, options: RunOptions) -> dict[str,
                 light=options.light,
             )
             warnings.extend(stream.warnings)
-        try:
+        with stream or nullcontext():
             if stream is not None:
                 entry = space(case.entry) if problem is None else problem.pose.position
                 stream.log_scene(entry, space(case.target), ground.scene, case.safety, ground.volume)
@@ -60,10 +61,6 @@ def run_needle(case: NeedleCase, target: Path, options: RunOptions) -> dict[str,
                 with watch.stage("recording"):
                     stream.finish(assemble_result(content, timings_s=watch.seconds, provenance=provenance))
                     stream.close()
-        except BaseException:
-            if stream is not None:
-                stream.abort()
-            raise
         result = assemble_result(content, timings_s=watch.seconds, provenance=provenance)
         folder.write_text("case.toml", needle_case_text(case, target))
         if result["path"] is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,7 @@ def run_rigid(case: RigidCase, target: Path, options: RunOptions) -> dict[str, A
             name = case.case_id or "case"
             stream = RigidRecording.open(folder.path("recording.rrd"), case_id=name, connect=options.connect, light=options.light)
             given.warnings.extend(stream.warnings)
-        try:
+        with stream or nullcontext():
             with watch.stage("obstacles"):
                 shrunk, problems = shrunken_problems(case, given)
             if stream is not None:
@@ -93,10 +94,6 @@ def run_rigid(case: RigidCase, target: Path, options: RunOptions) -> dict[str, A
                 with watch.stage("recording"):
                     stream.finish(plan, assemble_result(content, timings_s=watch.seconds, provenance=provenance))
                     stream.close()
-        except BaseException:
-            if stream is not None:
-                stream.abort()
-            raise
         result = assemble_result(content, timings_s=watch.seconds, provenance=provenance)
         folder.write_text("case.toml", rigid_case_text(case, target))
         if result["path"] is not None:

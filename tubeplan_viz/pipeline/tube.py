@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                 light=options.light,
             )
             warnings.extend(stream.warnings)
-        try:
+        with stream or nullcontext():
             if stream is not None:
                 with watch.stage("recording"):
                     record_anatomy(stream, lumen, problem, light=options.light)
@@ -114,10 +115,6 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                         stream.log_film(film)
                     stream.finish(document())
                     stream.close()
-        except BaseException:
-            if stream is not None:
-                stream.abort()
-            raise
         result = document()
         folder.write_text("case.toml", case_text(case, target))
         folder.write_text("path.csv", path_csv(plan.profile))

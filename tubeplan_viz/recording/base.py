@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 if TYPE_CHECKING:
     from tubeplan_viz.recording.sink import Sink
 
 
-class RunRecording:
+class RunRecording(ABC):
     """A recording that is being written: `close` publishes it, `abort` leaves no file.
+
+    As a context manager it is published at the end of the block, and discarded when
+    the block raises. Until it is published the final file does not exist.
 
     Attributes
     ----------
@@ -30,11 +35,8 @@ class RunRecording:
         """Publish the file: packed, checked, synced and renamed; a second call does nothing."""
         if self._open:
             self._open = False
-            try:
+            with self._sink:
                 self._sink.publish(self._blueprint())
-            except BaseException:
-                self._sink.discard()
-                raise
 
     def abort(self) -> None:
         """Leave no file; a second call, or one after `close`, does nothing."""
@@ -42,6 +44,15 @@ class RunRecording:
             self._open = False
             self._sink.discard()
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+    @abstractmethod
     def _blueprint(self) -> Any:
         """The layout with which the file opens."""
-        raise NotImplementedError

@@ -61,15 +61,12 @@ class BronchoscopeRecording(RunRecording):
         from tubeplan_viz.recording.sink import Sink
 
         sink = Sink(path, case_id=case_id, connect=connect)
-        try:
+        with sink:
             facts = rr.AnyValues(
                 case_id=case_id, planner="bronchoscope", method=method, frame=frame, units="mm", notice=at.NOTICE
             )
             sink.property("case", facts)
             sink.log(at.CASE, scene_axes(frame), static=True)
-        except BaseException:
-            sink.discard()
-            raise
         return cls(sink, case_id=case_id, frame=frame, light=light)
 
     def log_airway(self, surface: Surface, branches: Sequence[tuple[str, FloatArray]], radius: float) -> None:

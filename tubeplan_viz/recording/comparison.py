@@ -38,7 +38,7 @@ def log_comparison(comparison: Comparison, path: Path) -> None:
         If it cannot be written or does not read back.
     """
     sink = Sink(path, case_id="comparison", connect=None)
-    try:
+    with sink:
         for run, color in zip(comparison.runs, COLORS, strict=False):
             beside = [other for other in comparison.runs if other is not run] if comparison.overlaid else []
             _log_run(sink, run, color, beside, own_wall=not comparison.overlaid)
@@ -49,9 +49,6 @@ def log_comparison(comparison: Comparison, path: Path) -> None:
         sink.log("/summary", rr.TextDocument(summary(comparison), media_type=rr.MediaType.MARKDOWN), static=True)
         sink.flush()
         sink.publish(_layout(comparison))
-    except BaseException:
-        sink.discard()
-        raise
 
 
 def name_place(run: ComparedRun, others: Sequence[ComparedRun]) -> FloatArray:

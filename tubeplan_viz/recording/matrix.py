@@ -39,7 +39,7 @@ def log_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> Non
         If it cannot be written or does not read back.
     """
     sink = Sink(path, case_id=str(document["case_id"]), connect=None)
-    try:
+    with sink:
         sink.log("/case", scene_axes(str(document["frame"])), static=True)
         log_surface(sink, surface, light=False)
         for number, (one, row) in enumerate(zip(document["instruments"], document["cells"], strict=True)):
@@ -50,9 +50,6 @@ def log_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> Non
         sink.log("/case/table", rr.TextDocument(table(document), media_type=rr.MediaType.MARKDOWN), static=True)
         sink.flush()
         sink.publish(layout(document))
-    except BaseException:
-        sink.discard()
-        raise
 
 
 def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> None:

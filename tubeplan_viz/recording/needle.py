@@ -61,12 +61,9 @@ class NeedleRecording(RunRecording):
         from tubeplan_viz.recording.sink import Sink
 
         sink = Sink(path, case_id=case_id, connect=connect)
-        try:
+        with sink:
             sink.property("case", rr.AnyValues(case_id=case_id, planner=planner, frame=frame, units="mm", notice=at.NOTICE))
             sink.log(at.CASE, scene_axes(frame), static=True)
-        except BaseException:
-            sink.discard()
-            raise
         return cls(sink, case_id=case_id, planner=planner, frame=frame, light=light)
 
     def log_scene(self, entry: FloatArray, target: FloatArray, scene: Scene, safety: float, volume: Volume | None = None) -> None:

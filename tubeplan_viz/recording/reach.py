@@ -43,7 +43,7 @@ def log_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None
     """
     sink = Sink(path, case_id=str(document["case_id"]), connect=None)
     rows = document["branches"]
-    try:
+    with sink:
         sink.log("/case", scene_axes(str(document["frame"])), static=True)
         log_colored_wall(sink, rows, surface)
         lines = [np.asarray(row["points_mm"], float) for row in rows]
@@ -66,9 +66,6 @@ def log_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None
         sink.log("/case/table", rr.TextDocument(table(document), media_type=rr.MediaType.MARKDOWN), static=True)
         sink.flush()
         sink.publish(layout(document, surface))
-    except BaseException:
-        sink.discard()
-        raise
 
 
 def log_colored_wall(sink: Sink, rows: list[Mapping[str, Any]], surface: Surface) -> None:

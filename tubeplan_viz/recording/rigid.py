@@ -76,12 +76,9 @@ class RigidRecording(RunRecording):
         from tubeplan_viz.recording.sink import Sink
 
         sink = Sink(path, case_id=case_id, connect=connect)
-        try:
+        with sink:
             sink.property("case", rr.AnyValues(case_id=case_id, planner="rigid", frame="LPS", units="mm", notice=at.NOTICE))
             sink.log(at.CASE, scene_axes("LPS"), static=True)
-        except BaseException:
-            sink.discard()
-            raise
         return cls(sink, case_id=case_id, light=light)
 
     def log_scene(self, problem: Problem) -> None:

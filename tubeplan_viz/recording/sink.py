@@ -9,7 +9,8 @@ import subprocess
 import sys
 import uuid
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 from urllib.parse import urlsplit
 
 import rerun as rr
@@ -34,7 +35,8 @@ class Sink:
     rerun's own file sink hangs on a full disk and leaves a cut file without an
     error, so the bytes are taken from memory after every call of `flush` and written
     here, where a failing write raises. The file's own blueprint is added at the end,
-    when it is known what there is to show.
+    when it is known what there is to show. As a context manager it is discarded when
+    the block raises.
 
     Parameters
     ----------
@@ -155,6 +157,13 @@ class Sink:
         self._disconnect()
         self._close()
         self._partial.unlink(missing_ok=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is not None:
+            self.discard()
 
     def _layout(self, blueprint: rrb.Blueprint) -> bytes:
         """The blueprint as the beginning of a recording."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -35,9 +34,6 @@ OVERLAY_SPACING_MM = 1.0
 
 class Recording(RunRecording):
     """A recording that is being written; `open` makes one.
-
-    As a context manager it is published at the end of the block, and discarded when
-    the block raises. Until it is published the final file does not exist.
 
     Attributes
     ----------
@@ -110,15 +106,12 @@ class Recording(RunRecording):
             notice=at.NOTICE,
             arc_length_ticks_per_mm=at.TICKS_PER_MM,
         )
-        try:
+        with sink:
             sink.property("case", case)
             sink.show(blueprint(contents, None))
             sink.log(at.CASE, scene_axes(frame), static=True)
             log_legend(sink, limits)
             sink.flush()
-        except BaseException:
-            sink.discard()
-            raise
         return cls(sink, contents, case_id=case_id, light=light)
 
     def log_volume(self, volume: Volume, region: Region | None) -> None:
@@ -258,15 +251,6 @@ class Recording(RunRecording):
         from tubeplan_viz.recording.blueprint import blueprint
 
         return blueprint(self._contents, self._eye())
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
 
     def _log_slices(self, track: Track, center: FloatArray) -> None:
         """Overlay of the three planes through `center`; the pictures only where the planes have moved."""

@@ -67,6 +67,18 @@ class Provenance:
     created_utc: str = field(default_factory=_now)
     platform: str = field(default_factory=_platform)
 
+    def details(self) -> dict[str, Any]:
+        """The table ``provenance`` of result.json."""
+        return {
+            "software": self.software,
+            "version": self.version,
+            "inputs": [{"name": name, "sha256": sha256} for name, sha256 in self.inputs],
+            "rng_seed": self.rng_seed,
+            "settings": self.settings,
+            "created_utc": self.created_utc,
+            "platform": self.platform,
+        }
+
 
 def build_result(
     plan: Plan,
@@ -174,15 +186,7 @@ def assemble_result(content: Mapping[str, Any], *, timings_s: Mapping[str, float
             "iterations": content.get("iterations"),
             "details": content.get("details", {}),
             "timings_s": timings_s,
-            "provenance": {
-                "software": provenance.software,
-                "version": provenance.version,
-                "inputs": [{"name": name, "sha256": sha256} for name, sha256 in provenance.inputs],
-                "rng_seed": provenance.rng_seed,
-                "settings": provenance.settings,
-                "created_utc": provenance.created_utc,
-                "platform": provenance.platform,
-            },
+            "provenance": provenance.details(),
         }
     )
     validate_result(result)
