@@ -74,7 +74,7 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
     scene = rrb.Spatial3DView(
         origin=at.CASE,
         name="3D (research use, not for clinical decisions)",
-        contents=["$origin/**", f"- {at.CT}/**", f"- {at.WALK_CAMERA}/**"],
+        contents=["$origin/**", f"- {at.CT}/**", f"- {at.WALK_CAMERA}/**", f"- {at.FILM}/**"],
         background=rrb.Background(color=BACKGROUND),
         line_grid=False,
         eye_controls=_eye(eye),

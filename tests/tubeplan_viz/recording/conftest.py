@@ -14,6 +14,7 @@ from segmentation.mesh import Surface
 from segmentation.region_growing import GrowthCurve, Region
 from segmentation.volume import Volume
 from tubeplan_viz.centerline import Centerline
+from tubeplan_viz.endoluminal import FilmSettings, make_film
 from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.plan import Feature, FeatureKind, Limits, PlanStep
 from tubeplan_viz.profile import flag_stretches, measure_path
@@ -150,6 +151,11 @@ def record(path: Path, run: Run, *, imaged: tuple[Volume, Region] | None = None,
         recording.log_centerline(run.centerline)
         for step in run.steps:
             recording.log_step(step)
+        if not light:
+            profile = run.steps[-1].profile
+            seen = FilmSettings(size=48, step=8.0)
+            film = make_film(run.surface, profile.arc_length, profile.points, profile.clearance, settings=seen)
+            recording.log_film(film)
         recording.finish(run.result)
 
 

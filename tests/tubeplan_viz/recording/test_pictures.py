@@ -127,6 +127,8 @@ def test_the_viewer_opens_at_the_last_iteration_and_no_view_complains(recorded_f
         "CT, axial",
         "CT, coronal",
         "CT, sagittal",
+        "From the tip",
+        "straightened",
         "Decisions",
         "Summary",
     ):
