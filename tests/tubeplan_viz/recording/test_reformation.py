@@ -58,20 +58,20 @@ def test_pictures_from_the_tip_stand_on_the_arc_length_timeline(bent_tube: Any, 
     ) as recording:
         recording.log_surface(bent_tube.surface)
         recording.log_film(film)
-    shown: dict[int, bytes] = {}
+    times: dict[str, dict[int, bytes]] = {"arc_length": {}, "iteration": {}}
     for chunk in RrdReader(path).stream():
         if chunk.entity_path == "/case/film":
             batch = chunk.to_record_batch()
+            (timeline,) = chunk.timeline_names
+            ticks = batch.column(timeline).cast("int64").to_pylist()
             for name in batch.schema.names:
                 if name.endswith("EncodedImage:blob"):
-                    ticks = batch.column("arc_length").cast("int64").to_pylist()
-                    shown |= {
-                        tick: bytes(cell.as_py()[0])
-                        for tick, cell in zip(ticks, batch.column(name), strict=True)
-                        if cell.is_valid
-                    }
+                    cells = zip(ticks, batch.column(name), strict=True)
+                    times[timeline] |= {tick: bytes(cell.as_py()[0]) for tick, cell in cells if cell.is_valid}
+    shown = times["arc_length"]
     assert sorted(shown) == [int(still.arc_length * 10) for still in film.stills]
     assert shown[0] == film.stills[0].jpeg
+    assert times["iteration"] == {0: film.stills[0].jpeg}  # the view is not empty where the recording opens
     assert Image.open(io.BytesIO(shown[0])).size == (48, 48)
 
 
