@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from segmentation.errors import CaseError
 from tubeplan_viz.bronchoscope.planner import PlannerSettings
 from tubeplan_viz.bronchoscope.robot import Robot
-from tubeplan_viz.cases.fields import check_keys, listed, number, point, subtable, text, whole
+from tubeplan_viz.cases.fields import check_keys, number, point, subtable, text, whole
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
+from tubeplan_viz.cases.writing import case_file, in_unit_of, written
 
 METHODS = ("kinematic", "dynamic")
 # Curvature that the tip's track may have, 1/mm. The tip is swung by two sections on a moving base, so its track may bend more
@@ -157,7 +157,7 @@ def bronchoscope_case_table(case: BronchoscopeCase, *, folder: Path | None = Non
     own: dict[str, Any] = {}
     for key, (part, attribute) in KEYS.items():
         value = getattr(getattr(case, part), attribute)
-        own[key] = tidy_degrees(value) if key.endswith("_deg") else value
+        own[key] = in_unit_of(key, value)
     planner = {
         "name": "bronchoscope",
         "method": case.method,
@@ -173,18 +173,10 @@ def bronchoscope_case_table(case: BronchoscopeCase, *, folder: Path | None = Non
         "planner": planner,
         "bronchoscope": own,
     }
-    return {name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()}
-
-
-def tidy_degrees(value: float) -> float:
-    """Degrees that are read back as the same radian."""
-    degrees = float(np.degrees(value))
-    tidy = round(degrees, 9)
-    return tidy if float(np.radians(tidy)) == value else degrees
+    return written(tables)
 
 
 def bronchoscope_case_text(case: BronchoscopeCase, folder: Path) -> str:
     """case.toml: every default resolved, input path relative to the run folder."""
-    head = "# tubeplan bronchoscope case, every default resolved. Research use, not for clinical decisions.\n"
-    units = "# Points and lengths in mm (LPS for a CT), curvature in 1/mm, angles in degrees, times in s.\n\n"
-    return head + units + tomli_w.dumps(bronchoscope_case_table(case, folder=folder))
+    units = "Points and lengths in mm (LPS for a CT), curvature in 1/mm, angles in degrees, times in s."
+    return case_file("bronchoscope case", units, bronchoscope_case_table(case, folder=folder))

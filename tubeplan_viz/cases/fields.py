@@ -27,11 +27,6 @@ def read_table(path: Path) -> dict[str, Any]:
         raise CaseError(f"{path.name}: not valid TOML: {fault}") from None
 
 
-def listed(value: Any) -> Any:
-    """Tuples as lists, for TOML and JSON."""
-    return [listed(v) for v in value] if isinstance(value, tuple) else value
-
-
 def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str, what: str) -> None:
     """Refuse a key that nobody reads: a typing error must not pass as a default."""
     if not isinstance(table, Mapping):
@@ -54,6 +49,12 @@ def text(value: Any, where: str) -> str:
     if not isinstance(value, str | os.PathLike):
         raise CaseError(f"{where}: found {value!r}, expected text")
     return os.fspath(value)
+
+
+def located(value: Any, folder: Path | None, where: str) -> Path:
+    """A file's path; a relative one starts from `folder`, the case file's."""
+    path = Path(text(value, where)).expanduser()
+    return path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
 
 
 def number(value: Any, where: str, wanted: str = "a finite number") -> float:

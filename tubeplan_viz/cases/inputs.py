@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, number, point, subtable, text, whole
+from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text, whole
+from tubeplan_viz.cases.writing import shown_path
 
 HuLimit = float | str | None
 
@@ -62,8 +62,7 @@ def input_case(table: Mapping[str, Any], *, folder: Path | None, name: str) -> I
     check_keys(inputs, [f.name for f in fields(InputCase)], f"{name} [input]", "key")
     for key in ("ct", "mesh"):
         if inputs.get(key) is not None:
-            path = Path(text(inputs[key], f"{name} [input] {key}")).expanduser()
-            inputs[key] = path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
+            inputs[key] = located(inputs[key], folder, f"{name} [input] {key}")
     if inputs.get("seed_point") is not None:
         inputs["seed_point"] = point(inputs["seed_point"], f"{name} [input] seed_point")
     for key in ("hu_min", "hu_max"):
@@ -86,8 +85,3 @@ def input_table(case: InputCase, *, folder: Path | None) -> dict[str, Any]:
         if table[key] is not None:
             table[key] = shown_path(table[key], folder)
     return table
-
-
-def shown_path(path: Path, folder: Path | None) -> str:
-    """A path relative to `folder`, or its name only: no path of the machine it ran on."""
-    return path.name if folder is None else Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

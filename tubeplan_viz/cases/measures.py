@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, number, point, subtable, text
-from tubeplan_viz.cases.inputs import shown_path
+from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text
+from tubeplan_viz.cases.writing import shown_path
 from tubeplan_viz.measures import UrinarySettings
 
 Point = tuple[float, float, float]
@@ -66,10 +66,10 @@ def measure_case(table: Mapping[str, Any], *, folder: Path | None, name: str) ->
             masks = os.fspath(masks).split(",")
         if not isinstance(masks, Sequence):
             raise CaseError(f"{where} stone_masks: found {masks!r}, expected a list of files")
-        given["stone_masks"] = tuple(path_of(mask, folder, f"{where} stone_masks") for mask in masks)
+        given["stone_masks"] = tuple(located(mask, folder, f"{where} stone_masks") for mask in masks)
     if "structures" in given:
         given["structures"] = tuple(
-            (label, path_of(file, folder, f"{where} structures"))
+            (label, located(file, folder, f"{where} structures"))
             for label, file in structure_files(given["structures"], f"{where} structures")
         )
     if not isinstance(given.get("abnormal_anatomy", False), bool):
@@ -104,12 +104,6 @@ def structure_files(value: Any, where: str) -> list[tuple[str, str]]:
             raise CaseError(f"{where}: found {dict(one)!r}, expected both name and file")
         found.append((text(one["name"], where), text(one["file"], where)))
     return found
-
-
-def path_of(value: Any, folder: Path | None, where: str) -> Path:
-    """A file's path; relative ones start from `folder`."""
-    path = Path(text(value, where)).expanduser()
-    return path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
 
 
 def measure_table(case: MeasureCase, *, folder: Path | None) -> dict[str, Any]:

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, listed, number, point, subtable, text
+from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text
 from tubeplan_viz.cases.needle_rows import (
     HU_KEYS,
     MONTE_CARLO_KEYS,
     EventCase,
     ObstacleCase,
     event_case,
-    located,
     monte_carlo_settings,
     obstacle_case,
     place,
 )
+from tubeplan_viz.cases.writing import case_file, in_unit_of, shown_path, without_unset, written
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 from tubeplan_viz.needle.planar import PlanarSettings
 from tubeplan_viz.needle.spatial import NeedleSettings
@@ -248,47 +246,32 @@ def reciprocal(value: Any, where: str) -> float:
 def needle_case_table(case: NeedleCase, *, folder: Path | None = None) -> dict[str, Any]:
     """The case as tables without keys that are unset; files relative to `folder`, or names only."""
 
-    def shown(path: Path) -> str:
-        return path.name if folder is None else Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
-
     own: dict[str, Any] = {"entry": list(case.entry), "target": list(case.target), "frame": case.frame}
     if case.flat:
-        own |= {key: in_file(key, getattr(case.planar, attribute)) for key, attribute in PLANAR_KEYS.items()}
+        own |= {key: in_unit_of(key, getattr(case.planar, attribute)) for key, attribute in PLANAR_KEYS.items()}
     else:
         own |= {"direction": list(case.direction), "skin": case.skin}
-        own |= {key: in_file(key, getattr(getattr(case, part), attribute)) for key, (part, attribute) in SPACE_KEYS.items()}
+        own |= {key: in_unit_of(key, getattr(getattr(case, part), attribute)) for key, (part, attribute) in SPACE_KEYS.items()}
     planner = {"name": case.name, "method": case.method, "rng_seed": case.rng_seed, "time_budget": case.time_budget}
     tables: dict[str, Any] = {
-        "input": {"case_id": case.case_id, "ct": None if case.ct is None else shown(case.ct), "series": case.series},
+        "input": {"case_id": case.case_id, "ct": None if case.ct is None else shown_path(case.ct, folder), "series": case.series},
         "planner": planner,
         case.name: own,
     }
-    made: dict[str, Any] = {
-        name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()
-    }
+    made: dict[str, Any] = written(tables)
     if case.monte_carlo.runs:
         made["monte_carlo"] = {key: getattr(case.monte_carlo, attribute) for key, attribute in MONTE_CARLO_KEYS.items()}
     rows = [{f.name: getattr(body, f.name) for f in fields(ObstacleCase)} for body in case.obstacles]
     for row in rows:
-        row["file"] = None if row["file"] is None else shown(row["file"])
+        row["file"] = None if row["file"] is None else shown_path(row["file"], folder)
     events = [{f.name: getattr(event, f.name) for f in fields(EventCase)} for event in case.events]
     for name, items in (("obstacles", rows), ("events", events)):
         if items:
-            made[name] = [{key: listed(value) for key, value in item.items() if value is not None} for item in items]
+            made[name] = [without_unset(item) for item in items]
     return made
-
-
-def in_file(key: str, value: Any) -> Any:
-    """A setting in the unit of its key; degrees that are read back as the same radian."""
-    if not key.endswith("_deg"):
-        return value
-    degrees = float(np.degrees(value))
-    tidy = round(degrees, 9)
-    return tidy if float(np.radians(tidy)) == value else degrees
 
 
 def needle_case_text(case: NeedleCase, folder: Path) -> str:
     """case.toml: every default resolved, files relative to the run folder."""
-    head = "# tubeplan needle case, every default resolved. Research use, not for clinical decisions.\n"
-    units = "# Points and lengths in mm, curvature in 1/mm, HU limits in HU, times in s.\n\n"
-    return head + units + tomli_w.dumps(needle_case_table(case, folder=folder))
+    units = "Points and lengths in mm, curvature in 1/mm, HU limits in HU, times in s."
+    return case_file("needle case", units, needle_case_table(case, folder=folder))

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, number, point, read_table, text
+from tubeplan_viz.cases.fields import check_keys, located, number, point, read_table, text
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 
 FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
@@ -74,12 +73,6 @@ def place(value: Any, size: int, where: str) -> tuple[float, ...]:
     if not isinstance(value, Sequence) or len(value) != size:
         raise CaseError(f"{where}: found {value!r}, expected {size} numbers in mm")
     return tuple(number(part, where) for part in value)
-
-
-def located(value: Any, folder: Path | None, where: str) -> Path:
-    """A file's path, relative to the case file's folder."""
-    path = Path(text(value, where)).expanduser()
-    return path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
 
 
 def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> ObstacleCase:

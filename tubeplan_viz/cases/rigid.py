@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import tomli_w
 
 from segmentation.anatomy.nasal.scene import SIDES, STRUCTURES
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, listed, number, point, subtable, text, whole
-from tubeplan_viz.cases.inputs import shown_path
+from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text, whole
+from tubeplan_viz.cases.writing import case_file, in_unit_of, listed, shown_path, written
 from tubeplan_viz.instruments.rigid_catalogue import coupled_instrument, read_rigid_catalogue
 from tubeplan_viz.rigid import GOALS, CoupledInstrument, SearchSettings, Weights
 
@@ -91,10 +89,6 @@ def make_rigid_case(table: Mapping[str, Any], *, folder: Path | None = None, nam
     check_keys(planner, ("name", "method"), f"{name} [planner]", "key")
     check_keys(own, OWN, f"{name} [rigid]", "key")
 
-    def path(value: Any, where: str) -> Path:
-        found = Path(text(value, where)).expanduser()
-        return found if folder is None or found.is_absolute() else Path(os.path.normpath(folder / found))
-
     if "ct" not in inputs:
         raise CaseError(f"{name}: no CT was given; give a head CT (--ct, key ct in [input])")
     if "side" not in own:
@@ -116,20 +110,20 @@ def make_rigid_case(table: Mapping[str, Any], *, folder: Path | None = None, nam
     defaults, weights = SearchSettings(), Weights()
     roll = number(own.get("roll_max_deg", float(np.degrees(defaults.roll_max))), f"{name} [rigid] roll_max_deg")
     return RigidCase(
-        ct=path(inputs["ct"], f"{name} [input] ct"),
+        ct=located(inputs["ct"], folder, f"{name} [input] ct"),
         series=text(inputs["series"], f"{name} [input] series") if "series" in inputs else None,
         case_id=text(inputs["case_id"], f"{name} [input] case_id") if "case_id" in inputs else None,
         side=side,
         lesion=point(own["lesion"], f"{name} [rigid] lesion") if "lesion" in own else None,
-        lesion_mask=path(own["lesion_mask"], f"{name} [rigid] lesion_mask") if "lesion_mask" in own else None,
+        lesion_mask=located(own["lesion_mask"], folder, f"{name} [rigid] lesion_mask") if "lesion_mask" in own else None,
         method=method,
         shrinkage=shrinkage / 100.0,
         margin=margin,
         endoscope=text(own["endoscope"], f"{name} [rigid] endoscope") if "endoscope" in own else None,
         shaver=text(own["shaver"], f"{name} [rigid] shaver") if "shaver" in own else None,
-        catalogue=path(own["catalogue"], f"{name} [rigid] catalogue") if "catalogue" in own else None,
+        catalogue=located(own["catalogue"], folder, f"{name} [rigid] catalogue") if "catalogue" in own else None,
         offset=number(own.get("offset_mm", 6.0), f"{name} [rigid] offset_mm"),
-        masks={k: path(v, f"{name} [rigid] masks.{k}") for k, v in brought(own, "masks", name).items()},
+        masks={k: located(v, folder, f"{name} [rigid] masks.{k}") for k, v in brought(own, "masks", name).items()},
         seeds={k: point(v, f"{name} [rigid] seeds.{k}") for k, v in brought(own, "seeds", name).items()},
         boxes={k: box(v, f"{name} [rigid] boxes.{k}") for k, v in brought(own, "boxes", name).items()},
         search=SearchSettings(
@@ -179,7 +173,7 @@ def rigid_case_table(case: RigidCase, *, folder: Path | None = None) -> dict[str
         "shaver": shaver,
         "catalogue": shown(case.catalogue),
         "offset_mm": case.offset,
-        "roll_max_deg": round(float(np.degrees(case.search.roll_max)), 9),
+        "roll_max_deg": in_unit_of("roll_max_deg", case.search.roll_max),
         "rolls": case.search.rolls,
         "planes": case.search.planes,
         "nodes": case.search.nodes,
@@ -195,11 +189,10 @@ def rigid_case_table(case: RigidCase, *, folder: Path | None = None) -> dict[str
         "planner": {"name": "rigid", "method": case.method},
         "rigid": own,
     }
-    return {name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()}
+    return written(tables)
 
 
 def rigid_case_text(case: RigidCase, folder: Path) -> str:
     """case.toml: every default resolved, files relative to the run folder."""
-    head = "# tubeplan case of a rigid instrument, every default resolved. Research use, not for clinical decisions.\n"
-    units = "# Points (LPS) and lengths in mm; clearance_min is the least distance between instrument and structures.\n\n"
-    return head + units + tomli_w.dumps(rigid_case_table(case, folder=folder))
+    units = "Points (LPS) and lengths in mm; clearance_min is the least distance between instrument and structures."
+    return case_file("case of a rigid instrument", units, rigid_case_table(case, folder=folder))

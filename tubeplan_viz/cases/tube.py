@@ -7,15 +7,12 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-import tomli_w
-
 from segmentation.errors import CaseError
 from tubeplan_viz.cases.fields import (
     Place,
     check_keys,
     end_place,
     error_of_pose,
-    listed,
     number,
     point,
     read_table,
@@ -25,6 +22,7 @@ from tubeplan_viz.cases.fields import (
 )
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 from tubeplan_viz.cases.measures import MeasureCase, measure_case, measure_table
+from tubeplan_viz.cases.writing import case_file, written
 from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tolerance import ToleranceSettings
@@ -203,11 +201,10 @@ def case_table(case: Case, *, folder: Path | None = None) -> dict[str, Any]:
         "tube": tube,
         "measures": measure_table(case.measures, folder=folder),
     }
-    return {name: {key: listed(value) for key, value in table.items() if value is not None} for name, table in tables.items()}
+    return written(tables)
 
 
 def case_text(case: Case, folder: Path) -> str:
     """case.toml: every default resolved, input path relative to the run folder."""
-    head = "# tubeplan case, every default resolved. Research use, not for clinical decisions.\n"
-    units = "# Points and lengths in mm (LPS for a CT), curvature in 1/mm, HU limits in HU, times in s.\n\n"
-    return head + units + tomli_w.dumps(case_table(case, folder=folder))
+    units = "Points and lengths in mm (LPS for a CT), curvature in 1/mm, HU limits in HU, times in s."
+    return case_file("case", units, case_table(case, folder=folder))
