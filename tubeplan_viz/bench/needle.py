@@ -10,10 +10,11 @@ from tubeplan_viz.bench.needle_grid import shorter_path
 from tubeplan_viz.bench.needle_scenes import SCENES, TARGETS, columns, planar, replanned, scattered
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.cases.needle import NeedleCase, make_needle_case
+from tubeplan_viz.needle.bodies import Sphere
 from tubeplan_viz.needle.insertion import insert
 from tubeplan_viz.needle.kinematics import insertion_pose, push
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings, monte_carlo
-from tubeplan_viz.needle.obstacles import Scene, Sphere
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.planar import FORMS, PlanarProblem, PlanarSettings, best, plan_planar
 from tubeplan_viz.needle.rrt import plan_rrt
 from tubeplan_viz.needle.spatial import SpatialProblem

@@ -8,7 +8,8 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
-from tubeplan_viz.needle.obstacles import Capsule, Obstacle, Scene, Sphere
+from tubeplan_viz.needle.bodies import Capsule, Obstacle, Sphere
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.spatial import SpatialProblem
 
 

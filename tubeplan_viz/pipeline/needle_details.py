@@ -14,10 +14,10 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.cases.needle import NeedleCase
 from tubeplan_viz.cases.needle_rows import MONTE_CARLO_KEYS, ObstacleCase
+from tubeplan_viz.needle.bodies import MaskObstacle, MeshObstacle, Obstacle
 from tubeplan_viz.needle.insertion import Insertion
 from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, cycled, duty_cycle, push
 from tubeplan_viz.needle.monte_carlo import MonteCarlo
-from tubeplan_viz.needle.obstacles import MaskObstacle, MeshObstacle, Obstacle
 from tubeplan_viz.needle.path import NeedlePath, Tradeoff
 from tubeplan_viz.needle.planar import PlanarPath
 from tubeplan_viz.needle.spatial import SpatialProblem

@@ -17,8 +17,9 @@ from segmentation.volume import Volume
 from segmentation.volume_files import read_volume_file
 from tubeplan_viz.cases.needle import NeedleCase
 from tubeplan_viz.cases.needle_rows import ObstacleCase
+from tubeplan_viz.needle.bodies import Capsule, MaskObstacle, MeshObstacle, Obstacle, Polygon, Sphere
 from tubeplan_viz.needle.kinematics import insertion_pose
-from tubeplan_viz.needle.obstacles import Capsule, MaskObstacle, MeshObstacle, Obstacle, Polygon, Scene, Sphere
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.skin import skin_at
 from tubeplan_viz.needle.spatial import SpatialProblem
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from tubeplan_viz.cases.needle import NeedleCase
 from tubeplan_viz.cases.needle_rows import EventCase
+from tubeplan_viz.needle.bodies import MaskObstacle
 from tubeplan_viz.needle.events import Event
 from tubeplan_viz.needle.insertion import insert
 from tubeplan_viz.needle.kinematics import Arcs, push
 from tubeplan_viz.needle.monte_carlo import monte_carlo
-from tubeplan_viz.needle.obstacles import MaskObstacle, Scene
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.path import NeedlePath, SwarmRound
 from tubeplan_viz.needle.planar import PlanarProblem, best, plan_planar
 from tubeplan_viz.needle.rrt import plan_rrt

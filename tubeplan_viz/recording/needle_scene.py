@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from segmentation.arrays import FloatArray
-from tubeplan_viz.needle.obstacles import Capsule, MeshObstacle, Obstacle, Polygon, Sphere, body_distance
+from tubeplan_viz.needle.bodies import Capsule, MeshObstacle, Obstacle, Polygon, Sphere, body_distance
 from tubeplan_viz.needle.shape import level_surface
 
 BODY, SHELL = (205, 110, 95), (205, 110, 95, 45)

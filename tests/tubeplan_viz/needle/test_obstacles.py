@@ -10,17 +10,10 @@ from hypothesis import strategies as st
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
+from tubeplan_viz.needle.arc_distance import arc_distance
+from tubeplan_viz.needle.bodies import Capsule, MaskObstacle, MeshObstacle, Polygon, Sphere
 from tubeplan_viz.needle.kinematics import Arcs, Controls, Pose, bend, planar_pose, push
-from tubeplan_viz.needle.obstacles import (
-    Capsule,
-    MaskObstacle,
-    MeshObstacle,
-    Polygon,
-    Scene,
-    Sphere,
-    arc_distance,
-    danger,
-)
+from tubeplan_viz.needle.obstacles import Scene, danger
 
 ORIGIN = Pose(np.zeros(3), np.eye(3))
 

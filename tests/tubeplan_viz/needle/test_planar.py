@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from segmentation.errors import CaseError
 from tubeplan_viz.bench.needle_grid import shorter_path
+from tubeplan_viz.needle.bodies import Polygon, Sphere
 from tubeplan_viz.needle.kinematics import push
-from tubeplan_viz.needle.obstacles import Polygon, Scene, Sphere
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.planar import FORMS, PlanarPath, PlanarProblem, PlanarSettings, best, plan_planar
 from tubeplan_viz.needle.planar_shapes import close, sides_of, weigh
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tubeplan_viz.needle.bodies import Sphere
 from tubeplan_viz.needle.kinematics import Pose, push
-from tubeplan_viz.needle.obstacles import Scene, Sphere
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.path import NeedlePath
 from tubeplan_viz.needle.rrt import plan_rrt
 from tubeplan_viz.needle.spatial import NeedleSettings, SpatialProblem

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from segmentation.errors import CaseError
+from tubeplan_viz.needle.bodies import Capsule, Sphere
 from tubeplan_viz.needle.front import undominated
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
-from tubeplan_viz.needle.obstacles import Capsule, Scene, Sphere
+from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.needle.path import NeedlePath
 from tubeplan_viz.needle.spatial import NeedleSettings, SpatialProblem
 from tubeplan_viz.needle.swarm import SwarmSettings, plan_printed, plan_spatial, weights

@@ -1,0 +1,214 @@
+"""What a needle must keep away from: spheres, capsules, polygons, meshes and label volumes, each with its signed distance.
+
+Spheres and polygons also have closed formulas against arcs and lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import ndimage
+
+from segmentation.arrays import FloatArray, frozen_array
+from segmentation.errors import CaseError
+from segmentation.mesh import Surface
+from segmentation.volume import Volume
+from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.needle.arc_distance import STRAIGHT, arc_distance, on_arc
+from tubeplan_viz.needle.kinematics import Arcs
+
+
+class Obstacle(Protocol):
+    """A body to keep away from."""
+
+    @property
+    def kind(self) -> str:
+        """As in the case file."""
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm, of (..., 3) points, negative inside; never more than the true one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """A ball, or a circle where the path stays in the plane x = 0. `center` (3,) and `radius` in mm."""
+
+    center: FloatArray
+    radius: float
+    kind: str = "sphere"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "center", frozen_array(self.center, (3,), "center"))
+        check_radius(self.kind, self.radius)
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm."""
+        return np.asarray(np.linalg.norm(points - self.center, axis=-1) - self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Capsule:
+    """All points within `radius` of a polyline: a vessel, a rib. `points` (n, 3) in mm, n >= 2."""
+
+    points: FloatArray
+    radius: float
+    kind: str = "capsule"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", frozen_array(self.points, (None, 3), "points"))
+        if len(self.points) < 2:
+            raise CaseError(f"a capsule has {len(self.points)} point, expected two or more; one point is a sphere")
+        check_radius(self.kind, self.radius)
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm."""
+        return segment_distance(points, self.points[:-1], self.points[1:]).min(axis=-1) - self.radius
+
+
+@dataclass(frozen=True, eq=False)
+class Polygon:
+    """An area of the plane x = 0, or the prism along x over it. `corners` (n, 2): y, z in mm, in order, not crossing."""
+
+    corners: FloatArray
+    kind: str = "polygon"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "corners", frozen_array(self.corners, (None, 2), "points"))
+        if len(self.corners) < 3:
+            raise CaseError(f"a polygon has {len(self.corners)} corners, expected three or more")
+        if abs(self.area) < 1e-9:
+            raise CaseError("a polygon has no area; expected corners in order around it")
+
+    @property
+    def area(self) -> float:
+        """Signed area, mm2."""
+        y, z = self.corners.T
+        return float(0.5 * (y * np.roll(z, -1) - np.roll(y, -1) * z).sum())
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm, in the plane."""
+        flat = points[..., 1:]
+        first, second = self.corners, np.roll(self.corners, -1, axis=0)
+        gap = segment_distance(flat, first, second).min(axis=-1)
+        y, z = flat[..., None, 0], flat[..., None, 1]
+        crosses = (first[:, 1] > z) != (second[:, 1] > z)
+        rise = np.where(second[:, 1] == first[:, 1], 1.0, second[:, 1] - first[:, 1])
+        at = first[:, 0] + (z - first[:, 1]) * (second[:, 0] - first[:, 0]) / rise
+        inside = np.count_nonzero(crosses & (y < at), axis=-1) % 2 == 1
+        return np.where(inside, -gap, gap)
+
+    def arc_gaps(self, arcs: Arcs) -> FloatArray:
+        """Exact distance, mm, of pieces in the plane x = 0, (..., n); 0 or less where one meets the polygon.
+
+        An arc and an edge are nearest at a corner, at an end of the arc, or where the circle's radius meets the
+        edge at a right angle; or they cross.
+        """
+        corners = np.column_stack([np.zeros(len(self.corners)), self.corners])
+        edge = np.roll(corners, -1, axis=0) - corners
+        size = np.linalg.norm(edge, axis=1)
+        along = edge / size[:, None]
+        across = np.cross(along, [1.0, 0.0, 0.0])
+        start, end = self.distance(arcs.starts), self.distance(arcs.ends)
+        gap = np.minimum(np.minimum(start, end), arc_distance(arcs, corners).min(axis=-1))
+        bent = arcs.curvatures[..., None] > STRAIGHT
+        radius = 1.0 / np.maximum(arcs.curvatures, STRAIGHT)[..., None]
+        center = np.where(bent, arcs.starts + radius * arcs.normals, arcs.starts)[..., None, :]  # (..., n, 1, 3)
+        height = np.einsum("...md,md->...m", center - corners, across)
+        foot = np.einsum("...md,md->...m", center - corners, along)
+        touch = np.abs(height) - radius
+        beside = bent & (touch >= 0.0) & (foot >= 0.0) & (foot <= size)
+        inward = -np.sign(height)[..., None] * across  # from the centre to the edge
+        gap = np.minimum(gap, np.where(beside & on_arc(arcs, inward), touch, np.inf).min(axis=-1))
+        half = np.sqrt(np.maximum(radius**2 - height**2, 0.0))
+        for sign in (1.0, -1.0):
+            at = foot + sign * half
+            spoke = corners + at[..., None] * along - center
+            gap = np.where((bent & (touch < 0.0) & (at >= 0.0) & (at <= size) & on_arc(arcs, spoke)).any(axis=-1),
+                           np.minimum(gap, 0.0), gap)  # fmt: skip
+        reach = np.einsum("...d,md->...m", arcs.tangents, across)
+        ahead = -height / np.where(np.abs(reach) < 1e-300, 1e-300, reach)
+        at = foot + ahead * np.einsum("...d,md->...m", arcs.tangents, along)
+        crossed = ~bent & (ahead >= 0.0) & (ahead <= arcs.lengths[..., None]) & (at >= 0.0) & (at <= size)
+        return np.where(crossed.any(axis=-1), np.minimum(gap, 0.0), gap)
+
+
+class MeshObstacle:
+    """The inside of a closed surface; distances to its triangles are exact."""
+
+    kind = "mesh"
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self._wall = WallDistance(surface, closed_ends=True)
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm."""
+        return -self._wall.clearance(points.reshape(-1, 3)).reshape(points.shape[:-1])
+
+
+class MaskObstacle:
+    """The voxels of a label volume.
+
+    Between voxel centres the distance field is interpolated. Each of its values is a distance
+    between centres, off from that to the voxel's box by half a diagonal at most, and the interpolation
+    adds at most half a diagonal: `bound` is one diagonal, and `distance` is less by so much, never more than the
+    true distance.
+
+    Parameters
+    ----------
+    mask : Volume
+        Voxels above 0 are the obstacle.
+    """
+
+    kind = "mask"
+
+    def __init__(self, mask: Volume) -> None:
+        inside = np.asarray(mask.voxels) > 0
+        if not inside.any():
+            raise CaseError("a mask obstacle has no voxel above 0; expected a label volume in which the obstacle is marked")
+        spacing = tuple(float(step) for step in mask.spacing)
+        self.volume = mask
+        self.bound = float(np.linalg.norm(spacing))
+        outside = ndimage.distance_transform_edt(~inside, sampling=spacing)
+        within = ndimage.distance_transform_edt(inside, sampling=spacing)
+        self._field = np.asarray(outside - within, dtype=np.float32)
+
+    def rim(self) -> FloatArray:
+        """Centres, mm, (k, 3), of the obstacle's voxels that touch another one."""
+        inside = np.asarray(self.volume.voxels) > 0
+        return self.volume.to_lps(np.argwhere(inside & ~ndimage.binary_erosion(inside)))
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm, less its error bound; outside the volume that of the nearest voxel within, plus the way to it."""
+        flat = points.reshape(-1, 3)
+        index = self.volume.to_index(flat)
+        last = np.array(self._field.shape) - 1.0
+        held = np.clip(index, 0.0, last)
+        value = ndimage.map_coordinates(self._field, held.T, order=1, mode="nearest").astype(float)
+        beyond = np.linalg.norm((index - held) * np.asarray(self.volume.spacing), axis=1)
+        # Beyond the volume's faces nothing is known; the obstacle is taken to end with the image.
+        return np.asarray(np.maximum(value - self.bound, beyond - self.bound) if beyond.any() else value - self.bound).reshape(
+            points.shape[:-1]
+        )
+
+
+def check_radius(kind: str, radius: float) -> None:
+    """Refuse a radius that is none."""
+    if not 0.0 < radius <= 1000.0:
+        raise CaseError(f"a {kind} obstacle has radius_mm {radius:g}, expected more than 0 and at most 1000")
+
+
+def segment_distance(points: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
+    """Distance, mm, of (..., d) points to each of m segments, (m, d) ends: (..., m)."""
+    way = second - first
+    square = np.maximum(np.einsum("md,md->m", way, way), 1e-300)
+    off = points[..., None, :] - first
+    share = np.clip(np.einsum("...md,md->...m", off, way) / square, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(off - share[..., None] * way, axis=-1))
+
+
+def body_distance(body: Obstacle, points: FloatArray) -> FloatArray:
+    """Signed distance, mm, to a body, without what a label volume's keeps back for its error bound: for drawing."""
+    return body.distance(points) + (body.bound if isinstance(body, MaskObstacle) else 0.0)
