@@ -53,7 +53,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Fold:
-    """A part of the details that opens on demand."""
+    """A part of the details that opens on demand; `figures` says how many columns, from the left, hold numbers."""
 
     title: str
     hint: Phrase
@@ -61,6 +61,7 @@ class Fold:
     bars: tuple[Bar, ...] = ()
     head: tuple[str, ...] = ()
     rows: tuple[tuple[Phrase, ...], ...] = ()
+    figures: int = 0
 
 
 def numbers_behind(source: Source, parts: Sequence[Mapping[str, Any]]) -> Fold | None:
@@ -90,7 +91,9 @@ def numbers_behind(source: Source, parts: Sequence[Mapping[str, Any]]) -> Fold |
     head = ("Arc length, mm", "Clearance, mm", "Curvature, 1/mm", "Part")
     if not parts:
         head, rows = head[:3], [row[:3] for row in rows]  # type: ignore[misc,assignment]
-    return Fold("Numbers behind the charts", phrase("clearance and curvature along the path"), head=head, rows=tuple(rows))
+    return Fold(
+        "Numbers behind the charts", phrase("clearance and curvature along the path"), head=head, rows=tuple(rows), figures=3
+    )
 
 
 def folds(source: Source, parts: Sequence[Mapping[str, Any]]) -> tuple[Fold, ...]:

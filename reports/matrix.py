@@ -240,7 +240,7 @@ def _catalogue(source: Source) -> Fold:
             )
         )
     head = ("Diameter, mm", "Bend radius, mm", "Rigid tip, mm", "Length, mm", "Instrument", "Source")
-    return Fold("Catalogue", phrase("values of the instruments and where they come from"), head=head, rows=tuple(rows))
+    return Fold("Catalogue", phrase("values of the instruments and where they come from"), head=head, rows=tuple(rows), figures=4)
 
 
 def _provenance(document: Mapping[str, Any]) -> Fold:

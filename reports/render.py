@@ -117,7 +117,7 @@ def render_comparison(comparison: Comparison) -> str:
     page = make_comparison_page(comparison)
     return _filled(
         "compare.html.j2",
-        script=_part("scene", "dist", "compare.js"),
+        script=_part("scene", "dist", "report.js"),
         style=_style() + _part("templates", "compare.css"),
         page=page,
         compare_json=embedded(page.document),
@@ -126,7 +126,7 @@ def render_comparison(comparison: Comparison) -> str:
 
 
 def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
-    """The page of instruments against targets as HTML, from the content of matrix.json; it needs no script.
+    """The page of instruments against targets as HTML, from the content of matrix.json.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
     page = make_matrix_page(document, surface)
     return _filled(
         "matrix.html.j2",
-        script="",
+        script=_plain(),
         style=_style() + _part("templates", "matrix.css"),
         page=page,
         matrix_json=embedded(page.document),
@@ -144,7 +144,7 @@ def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
 
 
 def render_needle(case_id: str, result: Mapping[str, Any], around: Surroundings) -> str:
-    """The report of one needle run as HTML, without outside references and without scripts.
+    """The report of one needle run as HTML, without outside references.
 
     Parameters
     ----------
@@ -160,11 +160,11 @@ def render_needle(case_id: str, result: Mapping[str, Any], around: Surroundings)
         If the result holds numbers that are not finite.
     """
     page = make_needle_page(case_id, result, around)
-    return _filled("needle.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
+    return _filled("needle.html.j2", script=_plain(), style=_style(), page=page, result_json=embedded(result))
 
 
 def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surface, stills: Sequence[Still] = ()) -> str:
-    """The report of one run of the bronchoscope robot as HTML, without outside references and without scripts.
+    """The report of one run of the bronchoscope robot as HTML, without outside references.
 
     Raises
     ------
@@ -173,12 +173,17 @@ def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surfac
     """
     page = make_bronchoscope_page(case_id, result, surface, stills)
     return _filled(
-        "bronchoscope.html.j2", script="", style=_style(), page=page, result_json=embedded(result), json_id="tubeplan-result"
+        "bronchoscope.html.j2",
+        script=_plain(),
+        style=_style(),
+        page=page,
+        result_json=embedded(result),
+        json_id="tubeplan-result",
     )
 
 
 def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
-    """The page of a reach map as HTML, from the content of reach.json; it needs no script.
+    """The page of a reach map as HTML, from the content of reach.json.
 
     Raises
     ------
@@ -188,12 +193,12 @@ def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
     page = make_reach_page(document, surface)
     told = {key: document[key] for key in document if key != "branches"}
     return _filled(
-        "bronchoscope.html.j2", script="", style=_style(), page=page, result_json=embedded(told), json_id="tubeplan-reach"
+        "bronchoscope.html.j2", script=_plain(), style=_style(), page=page, result_json=embedded(told), json_id="tubeplan-reach"
     )
 
 
 def render_rigid(case_id: str, result: Mapping[str, Any], volume: Volume, structures: Mapping[str, BoolArray]) -> str:
-    """The report of one rigid run as HTML, without outside references and without scripts; parameters as `make_rigid_page`.
+    """The report of one rigid run as HTML, without outside references; parameters as `make_rigid_page`.
 
     Raises
     ------
@@ -201,7 +206,12 @@ def render_rigid(case_id: str, result: Mapping[str, Any], volume: Volume, struct
         If the result holds numbers that are not finite.
     """
     page = make_rigid_page(case_id, result, volume, structures)
-    return _filled("rigid.html.j2", script="", style=_style(), page=page, result_json=embedded(result))
+    return _filled("rigid.html.j2", script=_plain(), style=_style(), page=page, result_json=embedded(result))
+
+
+def _plain() -> str:
+    """The script of pages whose pictures stand still: the switch of colours, folds that open for print."""
+    return _part("scene", "dist", "plain.js")
 
 
 def _style() -> str:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from segmentation.arrays import FloatArray, IntArray
 from segmentation.mesh import Surface
+from tubeplan_viz.geometry import moving_frames
 
 FACES_SHOWN = 18_000  # a turnable scene stays smooth on a phone; the outline of a tube does not change visibly
 DIRECTIONS = 48  # rays across the path at each place
@@ -75,19 +76,16 @@ def light_mesh(surface: Surface, *, faces: int = FACES_SHOWN) -> LightMesh:
     return LightMesh(np.asarray(vertices, float), np.asarray(triangles, np.int64), len(surface.faces))
 
 
-def parallel_frames(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Tangents, normals and binormals that turn as little as possible along a polyline, each (n, 3)."""
-    tangent = np.gradient(points, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
-    normal = np.zeros_like(tangent)
-    # Anterior first where the path is not anterior itself: the straightened CT then starts in a familiar plane.
-    start = np.array([0.0, 1.0, 0.0]) if abs(tangent[0, 1]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    previous = np.cross(tangent[0], start)
-    for i, along in enumerate(tangent):
-        previous = previous - along * float(previous @ along)
-        previous = previous / max(float(np.linalg.norm(previous)), 1e-12)
-        normal[i] = previous
-    return tangent, normal, np.cross(tangent, normal)
+def sideways_frames(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Tangents, normals and binormals that turn as little as possible along a polyline, each (n, 3).
+
+    The first normal points across the line and across the body's front-to-back axis: the straightened
+    CT of a line that runs along the body begins in the coronal plane, in which it is usually read.
+    """
+    ahead = points[1] - points[0]
+    front = np.array([0.0, 1.0, 0.0]) if abs(ahead[1]) < 0.9 * np.linalg.norm(ahead) else np.array([0.0, 0.0, 1.0])
+    frames = moving_frames(points, first=np.cross(ahead, front))
+    return frames[:, :, 2], frames[:, :, 0], frames[:, :, 1]
 
 
 def rims(

@@ -14,7 +14,7 @@ from reports.figures import Profile, Steps, growth_chart, profile_chart, step_ch
 from reports.numbers import Source, printed
 from reports.slices import Window, png, straightened
 from reports.svg import LEFT, RIGHT, Axis, Width, frame, in_all_widths, path_axis, tag
-from reports.wall import parallel_frames, rims
+from reports.wall import rims, sideways_frames
 from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
@@ -235,7 +235,7 @@ def make_course(path: Mapping[str, Any], surface: Surface | None, places: int) -
         return None
     clearance = np.asarray(path["clearance_mm"], float) if path.get("clearance_mm") else None
     chosen = np.unique(np.linspace(0, len(points) - 1, min(places, len(points))).round().astype(int))
-    tangent, normal, binormal = (axis[chosen] for axis in parallel_frames(points))
+    tangent, normal, binormal = (axis[chosen] for axis in sideways_frames(points))
     return Course(
         arc=np.asarray(path["s_mm"], float),
         points=points,

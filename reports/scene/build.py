@@ -11,7 +11,7 @@ import subprocess
 from pathlib import Path
 
 HERE = Path(__file__).parent
-PAGES = {"app.js": "report.js", "compare.js": "compare.js"}
+PAGES = {"main.js": "report.js", "plain.js": "plain.js"}  # with a 3D scene, and without
 BUNDLED = ("three",)  # esbuild only builds; nothing of it ends up in the bundle
 
 
@@ -25,7 +25,7 @@ def strip_lock(path: Path) -> None:
 
 def licences() -> str:
     """Versions and licence texts of what is in the bundle."""
-    parts = [f"{' and '.join(PAGES.values())} contain these packages besides tubeplan's own source in ../src:\n"]
+    parts = [f"{PAGES['main.js']} contains these packages besides tubeplan's own source in ../src:\n"]
     for name in BUNDLED:
         folder = HERE / "node_modules" / name
         about = json.loads((folder / "package.json").read_text())

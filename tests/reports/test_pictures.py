@@ -16,7 +16,7 @@ from PIL import Image
 from reports.slices import LUNG, SOFT, cut, png, reduce_volume, windows_for
 from reports.still import View, choose_view, spread, still_picture
 from reports.svg import nice_step
-from reports.wall import light_mesh, parallel_frames, rims
+from reports.wall import light_mesh, rims, sideways_frames
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
 
@@ -35,7 +35,7 @@ def straight_tube(radius: float, length: float = 40.0, sides: int = 96) -> Surfa
 def test_the_outline_across_a_tube_is_its_circle(offset: float) -> None:
     radius = 2.5
     points = np.stack([np.full(30, offset), np.zeros(30), np.linspace(0.0, 40.0, 30)], axis=1)
-    tangent, normal, binormal = parallel_frames(points)
+    tangent, normal, binormal = sideways_frames(points)
     found = rims(straight_tube(radius), points, tangent, normal, binormal, directions=36)
     a = 2 * np.pi * np.arange(36) / 36
     spots = points[:, None] + found[..., None] * (np.cos(a)[:, None] * normal[:, None] + np.sin(a)[:, None] * binormal[:, None])
@@ -45,9 +45,9 @@ def test_the_outline_across_a_tube_is_its_circle(offset: float) -> None:
 
 def test_frames_are_orthonormal_and_do_not_turn_along_a_straight_line(make_review: Any) -> None:
     points = np.asarray(make_review(ct=False).result["path"]["points_mm"])
-    frame = np.stack(parallel_frames(points), axis=1)
+    frame = np.stack(sideways_frames(points), axis=1)
     assert np.abs(frame @ np.swapaxes(frame, 1, 2) - np.eye(3)).max() < 1e-9
-    _, normal, _ = parallel_frames(np.outer(np.arange(9.0), [1.0, 2.0, 2.0]))
+    _, normal, _ = sideways_frames(np.outer(np.arange(9.0), [1.0, 2.0, 2.0]))
     assert np.abs(normal - normal[0]).max() < 1e-12
 
 

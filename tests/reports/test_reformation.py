@@ -11,7 +11,7 @@ import pytest
 
 from reports import render_report, write_page
 from reports.slices import SOFT, straightened
-from reports.wall import parallel_frames
+from reports.wall import sideways_frames
 from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 
@@ -41,7 +41,7 @@ def with_marker(volume: Volume, place: FloatArray) -> Volume:
 
 def marker_place(path: FloatArray, k: int, angle: float, distance: float) -> tuple[FloatArray, FloatArray]:
     """A place `distance` mm from sample k of the path in the direction that the page calls `angle`, and that direction."""
-    _, normal, binormal = parallel_frames(path)
+    _, normal, binormal = sideways_frames(path)
     across = np.cos(angle) * normal + np.sin(angle) * binormal
     return path[k] + distance * across[k], across
 

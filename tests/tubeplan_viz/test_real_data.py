@@ -13,7 +13,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from reports.slices import Window, straightened
-from reports.wall import parallel_frames
+from reports.wall import sideways_frames
 from segmentation.archive import unpack as unpack_archive
 from segmentation.images import read_ct
 from segmentation.mesh_files import read_surface
@@ -90,7 +90,7 @@ def lumen_is_dark(image: Path, result: dict[str, Any]) -> bool:
     """Whether the reformation along the centerline is as dark as the grown lumen in its middle, all along."""
     volume = read_ct(image).volume
     line = np.asarray(result["centerline"]["points_mm"])
-    _, normal, _ = parallel_frames(line)
+    _, normal, _ = sideways_frames(line)
     chosen = float(result["details"]["growth"]["chosen_hu"])
     window = Window("test", "test", chosen, 400.0)
     picture = straightened(volume, line, normal, 0.25, window, rows=3)

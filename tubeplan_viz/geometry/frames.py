@@ -7,19 +7,21 @@ import numpy as np
 from segmentation.arrays import FloatArray
 
 
-def moving_frames(points: FloatArray) -> FloatArray:
+def moving_frames(points: FloatArray, *, first: FloatArray | None = None) -> FloatArray:
     """Rotation-minimising frames along a polyline by double reflection [1]_.
 
     Parameters
     ----------
     points : (n, 3) float array, mm
         n >= 2, no two neighbours equal.
+    first : (3,) float array, optional
+        Direction, not along the line's first edge, to which the first normal points as far as it
+        can; without it up (+z), or forward (-y) where the line itself begins upwards.
 
     Returns
     -------
     (n, 3, 3) float array
-        Columns are normal, binormal and tangent; right-handed. The first normal
-        points as far up (+z) as it can.
+        Columns are normal, binormal and tangent; right-handed.
 
     References
     ----------
@@ -29,9 +31,10 @@ def moving_frames(points: FloatArray) -> FloatArray:
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     normals = np.empty_like(points)
-    up = np.array([0.0, 0.0, 1.0]) if abs(tangents[0, 2]) < 0.9 else np.array([0.0, -1.0, 0.0])
-    first = up - (up @ tangents[0]) * tangents[0]
-    normals[0] = first / np.linalg.norm(first)
+    if first is None:
+        first = np.array([0.0, 0.0, 1.0]) if abs(tangents[0, 2]) < 0.9 else np.array([0.0, -1.0, 0.0])
+    normals[0] = first - (first @ tangents[0]) * tangents[0]
+    normals[0] /= np.linalg.norm(normals[0])
     for i in range(len(points) - 1):
         chord = points[i + 1] - points[i]
         square = chord @ chord

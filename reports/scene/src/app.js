@@ -1,7 +1,8 @@
 // Ties the parts of the report to one cursor: an index into the planned path. The page is complete without this
 // script; it adds the cursor, the turnable scene and the CT at any place.
 import { createVolume, greyTable, drawTile, drawReformation } from './slices.js';
-import { $, all, css, dark, minus, mm, nearest, painters, turnable, unpack } from './page.js';
+import { $, all, css, dark, minus, mm, nearest, painters, unpack } from './page.js';
+import { turnable } from './space.js';
 
 const signed = (v, n) => (v >= 0 ? '+' : '') + minus(v.toFixed(n));
 
@@ -182,5 +183,4 @@ async function space() {
 }
 
 // --- start ----------------------------------------------------------------------------------------
-document.documentElement.classList.add('script');
 Promise.all([space(), pictures()]).then(() => { if (count > 1) setCursor(now); globalThis.tubeplanReady = true; });

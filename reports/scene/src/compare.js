@@ -1,5 +1,6 @@
 // The page of several runs: one cursor through charts over arc length and over the share of the path, and the 3D scene.
-import { $, all, css, dark, minus, mm, nearest, painters, turnable } from './page.js';
+import { $, all, css, dark, minus, mm, nearest, painters } from './page.js';
+import { turnable } from './space.js';
 
 const { runs } = JSON.parse($('tubeplan-compare').textContent);
 const extra = JSON.parse($('tubeplan-scene').textContent);
@@ -89,5 +90,4 @@ async function space() {
   for (const check of all('[data-run-shown]')) check.addEventListener('change', () => view3d.showOther(drawn.indexOf(+check.dataset.runShown), check.checked));
 }
 
-document.documentElement.classList.add('script');
 space().then(() => { setCursor('share', extra.start); globalThis.tubeplanReady = true; });
