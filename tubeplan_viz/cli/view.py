@@ -14,7 +14,7 @@ import typer
 
 from segmentation.errors import CaseError
 from tubeplan_viz.recording import WebViewer, has_display, show_native
-from tubeplan_viz.result import RunFolderError, is_run
+from tubeplan_viz.result import RunFolderError, is_run, not_a_run
 
 MARKERS = ("result.json", "compare.json")
 
@@ -56,9 +56,7 @@ def recording_of(folder: Path) -> Path:
     if not folder.is_dir():
         raise CaseError(f"{folder.name}: no such run folder; name the folder that `tubeplan run` or `tubeplan plan` made")
     if not any(is_run(folder, marker) for marker in MARKERS):
-        raise RunFolderError(
-            f"{folder.resolve().name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made"
-        )
+        raise not_a_run(folder)
     recording = folder / "recording.rrd"
     if not recording.is_file():
         raise RunFolderError(

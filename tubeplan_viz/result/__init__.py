@@ -4,7 +4,7 @@ from tubeplan_viz.result.comparison import COMPARISON_FILES, ComparedRun, Compar
 from tubeplan_viz.result.document import Provenance, assemble_result, build_result, plain, result_text
 from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, flag_markups, path_csv, slicer_markups
-from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, read_result
+from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, not_a_run, read_result
 from tubeplan_viz.result.review import Review
 from tubeplan_viz.result.schema import result_schema, validate_result
 
@@ -25,6 +25,7 @@ __all__ = [
     "file_sha256",
     "flag_markups",
     "is_run",
+    "not_a_run",
     "path_csv",
     "plain",
     "read_result",

@@ -285,6 +285,13 @@ def is_run(folder: Path, marker: str = RESULT) -> bool:
         return False
 
 
+def not_a_run(folder: Path) -> RunFolderError:
+    """What to say of a folder that no command of tubeplan made."""
+    return RunFolderError(
+        f"{folder.resolve().name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made"
+    )
+
+
 def read_result(folder: Path) -> dict[str, Any]:
     """The content of a run's result.json, checked.
 
@@ -296,9 +303,7 @@ def read_result(folder: Path) -> dict[str, Any]:
         If its result.json does not follow the schema.
     """
     if not is_run(folder):
-        raise RunFolderError(
-            f"{folder.name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made"
-        )
+        raise not_a_run(folder)
     document: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     validate_result(document)
     return document

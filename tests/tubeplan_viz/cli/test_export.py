@@ -352,3 +352,14 @@ def test_the_schema_is_printed_whole_and_key_by_key(tubeplan: Call, result: dict
     assert set(result) <= listed
     assert {"metrics.length_mm", "flagged_intervals[].worst", "details.measures.items[].reason"} <= listed
     assert any(line.startswith("status  [ok | flagged | infeasible]") for line in lines)
+
+
+def test_a_folder_that_is_no_run_is_named_even_when_it_is_the_one_stood_in(
+    tubeplan: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "plain"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    outcome = tubeplan("export", ".", "-o", "out")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "plain is no tubeplan run" in outcome.err
