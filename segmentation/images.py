@@ -111,6 +111,18 @@ def inspect_path(path: Path, *, pixels: bool = False, progress: Progress | None 
     return report | {"facts": dict(image.facts), "geometry": geometry, "faults": [], "warnings": list(image.warnings)}
 
 
+def require_image(path: Path) -> None:
+    """Refuse a path that `read_ct` cannot begin to read, before anything else of a case is looked at.
+
+    Raises
+    ------
+    VolumeError
+        If the path does not exist or is of no kind that is read.
+    """
+    if not (is_volume_file(path) and path.is_file()):
+        _require_dicom(path)
+
+
 def is_volume_file(path: Path) -> bool:
     """Whether the name is that of a NIfTI or MetaImage file."""
     return not path.is_dir() and path.name.lower().endswith(VOLUME_SUFFIXES)

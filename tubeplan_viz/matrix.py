@@ -174,14 +174,7 @@ def matrix_document(
         "cells": [[cell_entry(cell) for cell in row] for row in matrix.cells],
         "paths": [[path_entry(path) for path in paths] for paths in matrix.paths],
         "timings_s": dict(timings),
-        "provenance": {
-            "software": provenance.software,
-            "version": provenance.version,
-            "inputs": [{"name": name, "sha256": digest} for name, digest in provenance.inputs],
-            "settings": provenance.settings,
-            "created_utc": provenance.created_utc,
-            "platform": provenance.platform,
-        },
+        "provenance": provenance.details(),
     }
 
 

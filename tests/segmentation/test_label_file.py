@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import highdicom as hd
@@ -12,7 +13,7 @@ from pydicom.sr.codedict import codes
 from segmentation.dicom import read_series, write_series
 from segmentation.dicom.seg_reader import read_segments
 from segmentation.errors import CaseError, SeriesError, VolumeError
-from segmentation.label_file import onto_grid, read_mask
+from segmentation.label_file import onto_grid, read_mask, read_mask_file
 from segmentation.volume import Volume
 
 
@@ -119,3 +120,24 @@ def test_a_missing_file_is_said_to_be_missing(volume: Volume, tmp_path: Path) ->
     for name, error in (("mask.nii", VolumeError), ("mask.dcm", SeriesError)):
         with pytest.raises(error, match=rf"{name}: there is no such file"):
             read_mask(tmp_path / name, volume)
+
+
+def test_a_grid_may_miss_the_cts_by_the_digits_of_its_file_and_by_no_more(volume: Volume, mask: np.ndarray) -> None:
+    step = volume.index_to_lps[:3, 0]
+    near, far = volume.index_to_lps.copy(), volume.index_to_lps.copy()
+    near[:3, 3] += 0.09 * step
+    far[:3, 3] += 0.11 * step
+    assert (onto_grid(mask, near, volume, "mask") == mask).all()
+    with pytest.raises(CaseError, match="lies on another grid than the CT"):
+        onto_grid(mask, far, volume, "mask")
+
+
+def test_both_files_of_a_mask_with_a_header_of_its_own_are_named_with_their_digests(
+    volume: Volume, mask: np.ndarray, tmp_path: Path
+) -> None:
+    path = write(mask.astype(np.uint8), volume.index_to_lps, tmp_path / "mask.mhd")
+    read, files = read_mask_file(path, volume)
+    assert (read == mask).all()
+    named = [tmp_path / name for name, _ in files]
+    assert {file.suffix for file in named} == {".mhd", ".raw"}
+    assert [digest for _, digest in files] == [hashlib.sha256(file.read_bytes()).hexdigest() for file in named]

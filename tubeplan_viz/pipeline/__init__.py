@@ -7,7 +7,7 @@ from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
 from tubeplan_viz.pipeline.rigid import run_rigid
 from tubeplan_viz.pipeline.segment import segment_case
-from tubeplan_viz.pipeline.tree import Tree, branches_from, endpoint_details, grow_tree, pose_case, resolve_end
+from tubeplan_viz.pipeline.tree import Tree, endpoint_details, grow_tree, pose_case, resolve_end
 from tubeplan_viz.pipeline.tube import run_tube, surface_details
 
 __all__ = [
@@ -16,7 +16,6 @@ __all__ = [
     "RunOptions",
     "Stopwatch",
     "Tree",
-    "branches_from",
     "endpoint_details",
     "grow_tree",
     "growth_details",

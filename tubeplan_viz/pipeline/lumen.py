@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from segmentation.errors import CaseError
-from segmentation.images import read_ct
+from segmentation.images import read_ct, require_image
 from segmentation.lumen import SegmentationSettings, segment_lumen
 from segmentation.mesh import Surface
 from segmentation.mesh_files import read_surface
@@ -74,6 +74,7 @@ def lumen_of_mesh(case: InputCase, near: Place | None, watch: Stopwatch) -> Lume
 def lumen_of_ct(case: InputCase, watch: Stopwatch) -> Lumen:
     """Read a CT, grow the lumen and make its surface."""
     assert case.ct is not None
+    require_image(case.ct)  # a wrong path is what is wrong, whatever else the case lacks
     settings = segmentation_settings(case)
     with watch.stage("read CT") as progress:
         image = read_ct(case.ct, series=case.series, progress=progress)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from segmentation.arrays import FloatArray
-from segmentation.errors import CaseError, RegionError
+from segmentation.errors import RegionError
+from segmentation.label_file import read_mask_file
 from segmentation.stone import Stone, grow_stone, masked_stone
 from segmentation.volume import Volume
 from segmentation.volume_files import read_volume_file
 from tubeplan_viz.cases.measures import MeasureCase
-from tubeplan_viz.centerline import CenterlineSettings, centerline_tree
+from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.geometry.section import SurfaceSections
 from tubeplan_viz.measures import (
     DEFINITIONS,
@@ -37,7 +37,7 @@ from tubeplan_viz.measures import (
     ureter_root,
     urinary_measures,
 )
-from tubeplan_viz.pipeline.tree import Tree
+from tubeplan_viz.pipeline.tree import Branching, Tree, branches_from_end
 
 URINARY = ("infundibulopelvic_angle_deg", "infundibular_length_mm", "infundibular_width_mm", "ureter_diameter_mean_mm")
 AIRWAY = ("trachea_diameter_mm", "carinal_angle_deg", "branch_diameter_mm", "branch_angle_deg")
@@ -56,6 +56,7 @@ def measure_run(
     *,
     anatomy: str | None,
     tree: Tree,
+    grown: Branching,
     volume: Volume | None,
     path: Mapping[str, FloatArray],
     curvature_max: float,
@@ -70,6 +71,8 @@ def measure_run(
         What the lumen is, which says what can be measured in it.
     tree : Tree
         The lumen with its end points.
+    grown : Branching
+        Centerlines that are there already: used where they have the root that a measure asks for.
     volume : Volume or None
         The CT, which stones are grown in.
     path : mapping
@@ -85,18 +88,18 @@ def measure_run(
     measures = path_measures(s, points, np.asarray(path["curvature_per_mm"]), curvature_max)
     lumen, urinary, drawing = None, None, None
     if anatomy == "urinary":
-        lumen, urinary = measured_urinary(tree, case, volume, settings)
+        lumen, urinary = measured_urinary(tree, case, volume, settings, grown)
         measures += lacking("the lumen has no branches", *URINARY) if urinary is None else urinary.measures
         drawing = None if urinary is None else urinary.drawing
     elif anatomy == "airway":
-        found, drawing = measured_airway(tree, volume, settings)
+        found, drawing = measured_airway(tree, volume, settings, grown)
         measures += lacking("the lumen has no branches", *AIRWAY) if drawing is None else found
     inputs: list[tuple[str, str]] = []
     stones = read_stones(case, volume, inputs)
     for number, stone in enumerate(stones, start=1):
         measures += stone_measures(number, stone)
     for name, file in case.structures:
-        mask = read_volume_file(file)
+        mask = read_volume_file(file, labels=True)
         inputs.extend(mask.inputs)
         measures += structure_measures(name, Volume(mask.voxels, mask.index_to_lps), s, points)
     scores = []
@@ -120,35 +123,43 @@ def details_of(measures: list[Measure], scores: list[dict[str, Any]], drawing: D
 
 
 def measured_urinary(
-    tree: Tree, case: MeasureCase, volume: Volume | None, settings: CenterlineSettings | None
+    tree: Tree,
+    case: MeasureCase,
+    volume: Volume | None,
+    settings: CenterlineSettings | None,
+    grown: Branching | None = None,
 ) -> tuple[Lumen | None, UrinaryMeasures | None]:
     """The collecting system measured from the ureter's end; None for a lumen with fewer than three tips."""
     if len(tree.endpoints) < 3:
         return None, None
-    first = lumen_from(tree, tree.endpoints[0].label, volume, settings)
-    root = ureter_root(first.tree, first.labels, tree.endpoints[0].label)
-    lumen = first if root == tree.endpoints[0].label else lumen_from(tree, root, volume, settings)
+    # Which end is the ureter's does not hang on the end that the branches are followed from: those at hand tell it too.
+    first = (
+        grown if grown is not None and grown.joins_ends else branches_from_end(tree, tree.endpoints[0].label, settings=settings)
+    )
+    assert first.root is not None
+    lumen = lumen_from(tree, ureter_root(first.branches, first.labels, first.root), volume, settings, first)
     return lumen, urinary_measures(lumen, UrinarySettings(ureter_level=case.ureter_level_mm))
 
 
 def measured_airway(
-    tree: Tree, volume: Volume | None, settings: CenterlineSettings | None
+    tree: Tree, volume: Volume | None, settings: CenterlineSettings | None, grown: Branching | None = None
 ) -> tuple[tuple[Measure, ...], Drawing | None]:
     """The airway measured from its first end point, the trachea's; no drawing for a lumen without a branching."""
     if len(tree.endpoints) < 3:
         return (), None
-    return airway_measures(lumen_from(tree, tree.endpoints[0].label, volume, settings))
+    return airway_measures(lumen_from(tree, tree.endpoints[0].label, volume, settings, grown))
 
 
-def lumen_from(tree: Tree, root: str, volume: Volume | None, settings: CenterlineSettings | None) -> Lumen:
-    """The branches from one end point to all others."""
-    others = [tip for tip in tree.endpoints if tip.label != root]
-    start = next(tip.point for tip in tree.endpoints if tip.label == root)
-    branches = centerline_tree(tree.graph, tree.wall, start, np.array([tip.point for tip in others]), settings)
+def lumen_from(
+    tree: Tree, root: str, volume: Volume | None, settings: CenterlineSettings | None, grown: Branching | None = None
+) -> Lumen:
+    """The branches from one end point to all others: those at hand, where they have this root."""
+    at_hand = grown is not None and grown.joins_ends and grown.root == root
+    branching = grown if grown is not None and at_hand else branches_from_end(tree, root, settings=settings)
     sections = SurfaceSections(tree.surface)
     return Lumen(
-        tree=branches,
-        labels=tuple(tip.label for tip in others),
+        tree=branching.branches,
+        labels=branching.labels,
         wall=tree.wall,
         sections=PlainSections(sections) if volume is None else CtSections(volume, sections),
         frame=tree.surface.frame,
@@ -166,27 +177,7 @@ def read_stones(case: MeasureCase, volume: Volume | None, inputs: list[tuple[str
         except RegionError as fault:
             found.append(str(fault))
     for file in case.stone_masks:
-        mask = read_volume_file(file)
-        inputs.extend(mask.inputs)
-        found.append(masked_stone(volume, on_grid(mask.voxels > 0, mask.index_to_lps, volume, file)))
+        mask, files = read_mask_file(file, volume)
+        inputs.extend(files)
+        found.append(masked_stone(volume, mask))
     return found
-
-
-def on_grid(mask: np.ndarray, index_to_lps: FloatArray, volume: Volume, file: Path) -> np.ndarray:
-    """A mask in the order of the CT's axes, where its voxels are those of the CT.
-
-    Raises
-    ------
-    CaseError
-        If it lies on another grid.
-    """
-    given = Volume(mask.astype(np.int16), index_to_lps)
-    corners = np.array([[0, 0, 0], np.array(mask.shape) - 1])
-    placed = volume.to_index(given.to_lps(corners))
-    if mask.shape != volume.voxels.shape or not np.allclose(np.sort(placed, axis=0), corners, atol=0.01):
-        raise CaseError(
-            f"{file.name}: the mask has {mask.shape} voxels and does not lie on the CT's grid of {volume.voxels.shape}; "
-            "draw it on this CT"
-        )
-    flipped = tuple(slice(None, None, -1) if placed[0, k] > placed[1, k] else slice(None) for k in range(3))
-    return mask[flipped]

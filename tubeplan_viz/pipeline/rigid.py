@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from segmentation.anatomy.nasal import (
 from segmentation.arrays import BoolArray
 from segmentation.errors import CaseError
 from segmentation.images import CtImage, read_ct
-from segmentation.label_file import read_mask
+from segmentation.label_file import read_mask_file
 from segmentation.volume import Volume
 from tubeplan_viz.cases.rigid import RigidCase, rigid_case_table, rigid_case_text
 from tubeplan_viz.pipeline.options import RunOptions
@@ -145,8 +144,8 @@ def load_head(case: RigidCase, watch: Stopwatch) -> RigidInput:
 
 def read_label(path: Path, volume: Volume, inputs: list[tuple[str, str]]) -> BoolArray:
     """A mask on the CT's grid; its digest is added to the inputs."""
-    mask = read_mask(path, volume)
-    inputs.append((path.name, hashlib.sha256(path.read_bytes()).hexdigest()))
+    mask, files = read_mask_file(path, volume)
+    inputs.extend(files)
     return mask
 
 

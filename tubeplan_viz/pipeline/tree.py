@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from segmentation.arrays import FloatArray
 from segmentation.caps import mark_flat_ends
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
@@ -89,13 +91,68 @@ def pose_case(case: Case, lumen: Lumen) -> tuple[TubeProblem, Tree]:
     return problem, tree
 
 
-def branches_from(
-    tree: Tree, start: np.ndarray, goal: np.ndarray, *, settings: CenterlineSettings | None = None
-) -> CenterlineTree:
-    """Centerlines from the start to every other end of the lumen and, as the last target, to the goal."""
-    tips = [tip.point for tip in tree.endpoints if np.linalg.norm(tip.point - start) > tip.radius]
-    others = [point for point in tips if np.linalg.norm(point - goal) > 1e-6]
-    return centerline_tree(tree.graph, tree.wall, start, np.array([*others, goal]), settings)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Branching:
+    """Centerlines from one place of the lumen to its end points, grown once for all that ask for this root.
+
+    Attributes
+    ----------
+    root : str or None
+        Label of the end point that it grows from; None from another place.
+    labels : tuple of str
+        Of the targets: the other end points in their order. A goal that is none of them comes last, as "goal".
+    branches : CenterlineTree
+    """
+
+    root: str | None
+    labels: tuple[str, ...]
+    branches: CenterlineTree
+
+    @property
+    def joins_ends(self) -> bool:
+        """Whether it leads from an end point to the others and nowhere else."""
+        return self.root is not None and GOAL not in self.labels
+
+
+GOAL = "goal"
+# Nearer to an end point than this a place is the end point itself, mm.
+SAME = 1e-6
+
+
+def branches_from_end(tree: Tree, root: str, *, settings: CenterlineSettings | None = None) -> Branching:
+    """Centerlines from one end point to all others."""
+    start = next(tip.point for tip in tree.endpoints if tip.label == root)
+    others = [tip for tip in tree.endpoints if tip.label != root]
+    return grown_from(tree, start, root, [tip.label for tip in others], [tip.point for tip in others], settings)
+
+
+def branches_on_way(
+    tree: Tree, start: FloatArray, goal: FloatArray, *, settings: CenterlineSettings | None = None
+) -> tuple[Branching, int]:
+    """Centerlines from a path's start to every other end of the lumen and to its goal; the goal's number among the targets."""
+    root = next((tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - start) <= SAME), None)
+    # A start beside an end point, but not on it, stands for that end.
+    near = {tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - start) <= tip.radius}
+    others = [tip for tip in tree.endpoints if tip.label not in ({root} if root is not None else near)]
+    labels, points = [tip.label for tip in others], [tip.point for tip in others]
+    at_goal = next((k for k, point in enumerate(points) if np.linalg.norm(point - goal) <= SAME), None)
+    if at_goal is None:
+        labels, points = [*labels, GOAL], [*points, goal]
+    found = grown_from(tree, start, root, labels, points, settings)
+    return found, len(points) - 1 if at_goal is None else at_goal
+
+
+def grown_from(
+    tree: Tree,
+    start: FloatArray,
+    root: str | None,
+    labels: Sequence[str],
+    points: Sequence[FloatArray],
+    settings: CenterlineSettings | None,
+) -> Branching:
+    """The centerlines themselves."""
+    branches = centerline_tree(tree.graph, tree.wall, start, np.array(points), settings)
+    return Branching(root=root, labels=tuple(labels), branches=branches)
 
 
 def endpoint_details(tip: Endpoint) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
 from tubeplan_viz.pipeline.measures import measure_run
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Stopwatch
-from tubeplan_viz.pipeline.tree import Tree, branches_from, endpoint_details, pose_case
+from tubeplan_viz.pipeline.tree import Tree, branches_on_way, endpoint_details, pose_case
 from tubeplan_viz.pipeline.walk import film_of, walk_details
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.recording import Recording
@@ -78,11 +78,15 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
             # mesh.ply holds wall faces first and then the caps; result.json counts on that order.
             written = write_ply(problem.surface, folder.path("mesh.ply"))
             details = case_details(case, lumen, tree, written, warnings)
+            with watch.stage("walk"):
+                grown, at_goal = branches_on_way(tree, problem.start, problem.goal, settings=case.centerline)
+                walk = walk_details(plan.profile, grown.branches, at_goal, problem.surface.frame)
             with watch.stage("measures"):
                 measured = measure_run(
                     case.measures,
                     anatomy=case.input.anatomy,
                     tree=tree,
+                    grown=grown,
                     volume=lumen.volume,
                     path={
                         "s_mm": plan.profile.arc_length,
@@ -95,9 +99,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
             details["measures"] = measured.details
             inputs = (*lumen.inputs, *measured.inputs)
             provenance = Provenance(inputs=inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
-            with watch.stage("walk"):
-                branches = branches_from(tree, problem.start, problem.goal, settings=case.centerline)
-                details["walk"] = walk_details(plan.profile, branches, problem.surface.frame)
+            details["walk"] = walk
             film = None
             if (options.recording or options.report) and not options.light:
                 with watch.stage("views from the tip") as progress:

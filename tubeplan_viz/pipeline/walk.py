@@ -14,9 +14,9 @@ from tubeplan_viz.endoluminal import Camera, Film, FilmSettings, Still, film_sti
 from tubeplan_viz.plan import PathProfile, Plan
 
 
-def walk_details(profile: PathProfile, branches: CenterlineTree, frame: str) -> dict[str, Any]:
-    """Junctions and bends along the path; directions in words only where the axes are the patient's."""
-    steps = walk_steps(profile.arc_length, profile.points, branches, -1)
+def walk_details(profile: PathProfile, branches: CenterlineTree, target: int, frame: str) -> dict[str, Any]:
+    """Junctions and bends along the path to a target of the tree; directions in words only where the axes are the patient's."""
+    steps = walk_steps(profile.arc_length, profile.points, branches, target)
     return {
         "steps": [
             {

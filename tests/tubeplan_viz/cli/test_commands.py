@@ -78,6 +78,7 @@ BAD: list[tuple[tuple[str, ...], str]] = [
     (("plan", "tube", "--mesh", "{tube}", "--ct", "x", "--start", "0,0,0", "--goal", "0,40,0"), "exactly one of them"),
     (("plan", "tube", "--mesh", "missing.ply", "--start", "0,0,0", "--goal", "0,40,0"), "missing.ply"),
     (("plan", "tube", "--ct", "missing", "--anatomy", "airway", "--start", "0,0,0", "--goal", "0,40,0"), "missing"),
+    (("plan", "tube", "--ct", "nowhere", "--start", "0,0,0", "--goal", "0,40,0"), "nowhere: there is no such file or folder"),
     (("plan", "tube", "--mesh", "{tube}", "--goal", "0,40,0"), "no start was given; .* end points: E1 .*; E2"),
     (("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E9"), "the lumen has no end point E9; it has E1"),
     (
