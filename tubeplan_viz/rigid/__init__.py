@@ -5,7 +5,8 @@ from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, pose_angles
 from tubeplan_viz.rigid.judge import Judge
 from tubeplan_viz.rigid.planner import Problem, RigidPlan, make_problem, path_goals, plan_rigid, structure_distances
 from tubeplan_viz.rigid.ranking import BEST, GOALS, Ranking, Weights, rank
-from tubeplan_viz.rigid.tangent_search import RigidPath, SearchResult, SearchSettings, search
+from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
+from tubeplan_viz.rigid.tangent_search import search
 
 __all__ = [
     "BEST",

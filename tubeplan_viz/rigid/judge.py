@@ -33,8 +33,10 @@ class Judge:
         Points of the entry region: what is farther behind the tip than all of them is outside the head.
     exact : bool
         Decide by the exact test what the envelope refuses.
+    tests : int
+        Instruments put to a test of any kind so far: a push counts 1, a turn as many poses as it takes.
     evaluations : int
-        Instruments put to the test so far: pushes count 1, a turn as many poses as it takes.
+        Those of them that no witness decided.
     witnesses : Witnesses, optional
         What stopped instruments before; one that holds such a place is refused without an evaluation.
     """
@@ -44,6 +46,7 @@ class Judge:
     mouth: FloatArray
     margin: float = 0.0
     exact: bool = False
+    tests: int = field(default=0)
     evaluations: int = field(default=0)
     witnesses: Witnesses | None = None
 
@@ -62,6 +65,7 @@ class Judge:
 
     def _verdict(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
         """What instruments (two bodies each, LPS mm) meet, first by the witnesses, then by an evaluation."""
+        self.tests += len(bodies) // 2
         if self.witnesses is None:
             return self._evaluated(bodies)
         label, place = self.witnesses.stopping(bodies)

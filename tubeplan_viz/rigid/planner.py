@@ -16,7 +16,8 @@ from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, posed, swep
 from tubeplan_viz.rigid.judge import Judge
 from tubeplan_viz.rigid.obstacles import Obstacles, build_obstacles
 from tubeplan_viz.rigid.ranking import Ranking, Weights, rank
-from tubeplan_viz.rigid.tangent_search import RigidPath, SearchResult, SearchSettings, search
+from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
+from tubeplan_viz.rigid.tangent_search import search
 
 AROUND_MM = 25.0  # of structures beside the way that are kept; farther ones are no nearer than this
 BENT_RANKED_MM = 2.0  # of paths with bends one is ranked for every cube of starts of this side
