@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from tubeplan_viz.instruments.track import Track
 from tubeplan_viz.plan import Limits, NoPathError
 from tubeplan_viz.tube import METHODS, OptimalSettings, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
 from tubeplan_viz.tube.bottleneck import Bottleneck
+from tubeplan_viz.tube.samples import first_spline
 
 # Nearer to the ceiling than this share, a softer instrument gains nothing.
 NEAR_CEILING = 0.99
@@ -203,20 +205,23 @@ class Reach:
         """Find paths for the bend radii of these instruments, stiffest instruments' limits included."""
         levels = sorted({one.limits.curvature_max for one in possible})
         if self._settings.method == "optimal":
-            self.halve(levels, possible)
+            self.halve(levels, possible, stiffest=True)
             return
         ordered = sorted(possible, key=lambda one: (one.limits.curvature_max, -one.radius))
         for one in ordered:
             if not any(self.keeps(witness, one) for witness in self.witnesses):
                 self.add(self.feature_path(one.limits), one.limits)
 
-    def halve(self, levels: Sequence[float], possible: Sequence[Instrument]) -> None:
-        """Largest clearances at some of the curvature limits `levels`, which rise; none for instruments that are served."""
+    def halve(self, levels: Sequence[float], possible: Sequence[Instrument], *, stiffest: bool = False) -> None:
+        """Largest clearances at some of the curvature limits `levels`, which rise; none for instruments that are served.
+
+        The middle one is searched first, or the `stiffest`: a path that it can follow serves all.
+        """
         open_levels = {one.limits.curvature_max for one in possible if not self.is_served(one)}
         levels = [level for level in levels if level in open_levels]
         if not levels:
             return
-        middle = len(levels) // 2
+        middle = 0 if stiffest else len(levels) // 2
         stiffer, softer = levels[:middle], levels[middle + 1 :]
         thinnest = min(one.radius for one in possible if one.limits.curvature_max <= levels[middle])
         limits = Limits(curvature_max=levels[middle], clearance_min=thinnest)
@@ -229,18 +234,28 @@ class Reach:
 
     def widest_path(self, limits: Limits) -> SplineCurve | None:
         """The path of largest least clearance under a curvature limit; None when no spline follows the line."""
-        assert self._target.centerline is not None
-        passage = Passage(wall=self._wall, line=self._target.centerline.points, limits=limits)
-        curve = None
+        first, curve = self._first_spline, None
+        if first is None:
+            return None
+        for proposal in optimise(self._passage(limits), quick(self._settings.tube.optimal), warm=first):
+            curve = proposal.curve
+            # The first proof ends the phase that raises the least clearance; what follows serves its mean.
+            if proposal.clearance is not None:
+                break
+        return curve
+
+    @cached_property
+    def _first_spline(self) -> SplineCurve | None:
+        """The spline fitted to the target's centerline, from which every search begins: the limits play no part in it."""
         try:
-            for proposal in optimise(passage, quick(self._settings.tube.optimal)):
-                curve = proposal.curve
-                # The first proof ends the phase that raises the least clearance; what follows serves its mean.
-                if proposal.clearance is not None:
-                    break
+            grid, control = first_spline(self._passage(self._instruments[0].limits), self._settings.tube.optimal)
         except NoPathError:
             return None
-        return curve
+        return grid.curve(control)
+
+    def _passage(self, limits: Limits) -> Passage:
+        assert self._target.centerline is not None
+        return Passage(wall=self._wall, line=self._target.centerline.points, limits=limits)
 
     def feature_path(self, limits: Limits) -> SplineCurve | None:
         """The end of the feature iteration under these limits."""
