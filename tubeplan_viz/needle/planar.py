@@ -13,23 +13,13 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.needle.kinematics import Controls, Pose, planar_pose, push
 from tubeplan_viz.needle.obstacles import danger
-from tubeplan_viz.needle.planar_search import (
-    ROUNDS,
-    SCOUT_ROUNDS,
-    cheapest,
-    gathered,
-    grid,
-    joined,
-    promising,
-    refine,
-    sharpened,
-    spacing,
-)
-from tubeplan_viz.needle.planar_shapes import FORMS, PlanarProblem, PlanarSettings, Shapes, close, sides_of, turns_of, weigh
+from tubeplan_viz.needle.planar_bodies import FlatScene
+from tubeplan_viz.needle.planar_finish import Candidate
+from tubeplan_viz.needle.planar_motion import posed
+from tubeplan_viz.needle.planar_search import Found, search_form
+from tubeplan_viz.needle.planar_shapes import FORMS, PlanarProblem, PlanarSettings, turns_of
 
 __all__ = ["FORMS", "PlanarPath", "PlanarProblem", "PlanarSettings", "best", "plan_planar"]
-
-SHARPENED = {1: 0, 2: 0, 3: 0, 4: 1}  # shapes of each form that get the smooth finish, by control degree
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +44,9 @@ class PlanarPath:
     reason : str or None
         Why there is no path.
     tried : int
-        Paths of this form that reach the target and were weighed.
+        Cells of piece lengths searched.
+    bound : float
+        No path of this form has a smaller a1 L + a2 D; infinite where it is certain that there is none.
     """
 
     form: str
@@ -68,6 +60,7 @@ class PlanarPath:
     tip_error: float = 0.0
     reason: str | None = None
     tried: int = 0
+    bound: float = 0.0
 
     @property
     def degree(self) -> int:
@@ -85,69 +78,37 @@ class PlanarPath:
         return self.controls.length if self.controls is not None else np.inf
 
 
-def plan_planar(
-    problem: PlanarProblem, *, rng: np.random.Generator | None = None, progress: Callable[[int, int], None] | None = None
-) -> tuple[PlanarPath, ...]:
+def plan_planar(problem: PlanarProblem, *, progress: Callable[[int, int], None] | None = None) -> tuple[PlanarPath, ...]:
     """The best path of every form, in the order of `FORMS`.
 
     Parameters
     ----------
     problem : PlanarProblem
-    rng : Generator, optional
-        For the refinement; a fixed one by default.
     progress : callable, optional
         Told how many of how many control degrees are done.
+
+    Raises
+    ------
+    CaseError
+        If an obstacle is neither a circle nor a polygon of the plane.
     """
-    rng = rng or np.random.default_rng(0)
+    scene = FlatScene(problem)
     degrees = range(1, problem.settings.degree_max + 1)
-    found: list[PlanarPath] = []
+    paths: list[PlanarPath] = []
+    simpler: tuple[Candidate, ...] = ()
     for degree in degrees:
-        found.extend(best_of_degree(problem, degree, rng))
+        found = [search_form(problem, scene, form, simpler) for form in FORMS[degree]]
+        simpler = tuple(one.best for one in found if one.best is not None)
+        paths.extend(finished(problem, form, one) for form, one in zip(FORMS[degree], found, strict=True))
         if progress is not None:
             progress(degree, len(degrees))
-    return tuple(found)
+    return tuple(paths)
 
 
 def best(paths: tuple[PlanarPath, ...], degree: int | None = None) -> PlanarPath | None:
     """The path of least F, of one degree or of all; None if none is feasible."""
     able = [path for path in paths if path.feasible and degree in (None, path.degree)]
     return min(able, key=lambda path: (path.score, path.degree, path.form)) if able else None
-
-
-def best_of_degree(problem: PlanarProblem, degree: int, rng: np.random.Generator) -> list[PlanarPath]:
-    """The best path of each form of one control degree."""
-    cases = [(form, np.array(sides, dtype=float)) for form in FORMS[degree] for sides in sides_of(form)]
-    starts: list[tuple[int, Shapes]] = []
-    scouts: list[tuple[int, Shapes]] = []
-    tried = dict.fromkeys(FORMS[degree], 0)
-    for index, (form, sides) in enumerate(cases):
-        free = np.zeros((1, 0)) if degree == 1 else grid(problem, sides[:-1])
-        shapes = close(problem, free, sides)
-        shapes = shapes.take(np.flatnonzero(np.isfinite(shapes.costs)))
-        tried[form] += len(shapes.costs)
-        for found, group in zip(cheapest(problem, shapes, degree), (starts, scouts), strict=True):
-            group.append((index, found))
-    pool, owner = gathered(problem, starts)
-    if degree == 1:
-        costs, spare = weigh(problem, pool)
-    else:
-        ahead, scout_owner = gathered(problem, scouts)
-        ahead, *_ = refine(problem, ahead, rng, rounds=SCOUT_ROUNDS, step=0.5 * spacing(problem, degree))
-        pool, owner = joined(pool, ahead), np.concatenate([owner, scout_owner])
-        pool, owner = promising(problem, pool, owner)
-        pool, costs, spare = refine(problem, pool, rng, rounds=ROUNDS[degree], step=0.06 * problem.distance)
-    result = []
-    for form in FORMS[degree]:
-        mine = [row for row, k in enumerate(owner) if cases[k][0] == form]
-        if not mine:
-            result.append(PlanarPath(form=form, reason=unreachable(problem, form), tried=0))
-            continue
-        ranked = sorted(mine, key=lambda k: (costs[k], -spare[k]))
-        able = [pool.take(np.array([row])) for row in ranked[: SHARPENED[degree]] if np.isfinite(costs[row])]
-        made = [pool.take(np.array([ranked[0]])), *(sharpened(problem, shape) for shape in able)]
-        made.sort(key=lambda shape: float(weigh(problem, shape)[0][0]))
-        result.append(finished(problem, form, made[0], tried[form]))
-    return result
 
 
 def unreachable(problem: PlanarProblem, form: str) -> str:
@@ -159,33 +120,43 @@ def unreachable(problem: PlanarProblem, form: str) -> str:
     return f"no path of this form ends at the target with an {limits} and arcs up to {np.degrees(s.turn_max):.0f} degrees"
 
 
-def finished(problem: PlanarProblem, form: str, shape: Shapes, tried: int) -> PlanarPath:
-    """One shape as a path with its own measures, or with the reason why it is none."""
+def finished(problem: PlanarProblem, form: str, found: Found) -> PlanarPath:
+    """What was found of one form as a path with its own measures, or with the reason why there is none."""
     s = problem.settings
-    sides, lengths = shape.sides.reshape(-1), shape.lengths[0]
-    pose = planar_pose(problem.entry, float(shape.angles[0]))
-    controls = Controls(turns_of(sides), lengths, np.abs(sides) / s.radius)
+    shown = found.best or found.nearest
+    if shown is None:
+        return PlanarPath(form=form, reason=unreachable(problem, form), tried=found.weighed, bound=found.bound)
+    whole = posed(problem, shown.free[None], shown.sides[None], np.array([shown.root]))
+    lengths, angle = whole.lengths[0], float(whole.angle[0])
+    pose = planar_pose(problem.entry, angle)
+    controls = Controls(turns_of(shown.sides), lengths, np.abs(shown.sides) / s.radius)
     arcs = push(pose, controls)
     gaps = problem.scene.least_distance(arcs)
-    if len(gaps) and gaps.min() < s.safety - 1e-9:
-        worst = int(gaps.argmin())
-        return PlanarPath(
-            form=form,
-            tried=tried,
-            reason=f"every path of this form that ends at the target ({tried} tried) comes nearer than {s.safety:g} mm to an "
-            f"obstacle; the best comes to {gaps[worst]:.2f} mm from obstacle {worst + 1} ({problem.scene.obstacles[worst].kind})",
-        )
-    risk = float(danger(gaps, s.safety)) if len(gaps) else 0.0
-    risk = risk if np.isfinite(risk) else float(danger(np.maximum(gaps, s.safety), s.safety))
+    if found.best is None:
+        return PlanarPath(form=form, reason=blocked(problem, form, found, gaps), tried=found.weighed, bound=found.bound)
+    risk = float(danger(np.maximum(gaps, s.safety), s.safety)) if len(gaps) else 0.0
     return PlanarPath(
         form=form,
-        sides=tuple(int(side) for side in sides),
+        sides=tuple(int(side) for side in shown.sides),
         pose=pose,
         controls=controls,
-        angle=float(shape.angles[0]),
+        angle=angle,
         clearances=gaps,
         danger=risk,
         score=s.weight_length * controls.length + s.weight_danger * risk + s.weight_degree * len(form),
         tip_error=float(np.linalg.norm(arcs.tips - np.array([0.0, *problem.target]))),
-        tried=tried,
+        tried=found.weighed,
+        bound=found.bound,
+    )
+
+
+def blocked(problem: PlanarProblem, form: str, found: Found, gaps: FloatArray) -> str:
+    """Why no path of a form that ends at the target is clear; `gaps` are those of the one that lacks least."""
+    if not len(gaps) or gaps.min() >= problem.settings.safety:
+        return unreachable(problem, form)
+    worst = int(gaps.argmin())
+    said = "every path" if np.isinf(found.bound) else f"every path found ({found.weighed} cells of lengths searched)"
+    return (
+        f"{said} of this form that ends at the target comes nearer than {problem.settings.safety:g} mm to an obstacle; the best "
+        f"comes to {gaps[worst]:.2f} mm from obstacle {worst + 1} ({problem.scene.obstacles[worst].kind})"
     )

@@ -45,7 +45,7 @@ def planned_flat(case: NeedleCase, scene: Scene, watch: Stopwatch) -> Outcome:
     """The planar planner's outcome."""
     problem = PlanarProblem(np.array(case.entry), np.array(case.target), scene, case.planar)
     with watch.stage("plan") as progress:
-        paths = plan_planar(problem, rng=np.random.default_rng(case.rng_seed), progress=progress)
+        paths = plan_planar(problem, progress=progress)
     chosen = best(paths)
     per_degree = {str(n): one.form for n in range(1, case.planar.degree_max + 1) if (one := best(paths, n)) is not None}
     details = {
