@@ -15,7 +15,7 @@ from reports.derived import derived_values
 from reports.figures import Steps, step_chart
 from reports.folds import Fold, folds
 from reports.numbers import Phrase, Source, phrase
-from reports.parts import Drawing, Key, PlanPage, Table
+from reports.parts import Drawing, Key, PlanPage, Table, place_keys
 from reports.still import Label, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH, or_dash
@@ -106,17 +106,9 @@ def _keys(source: Source) -> tuple[Key, ...]:
         Key(
             "Track of the tip",
             phrase(source.need("metrics.length_mm", 1, "mm")),
-            phrase(
-                "clearance ",
-                source.need("metrics.clearance_min_mm", PLACES, "mm"),
-                " or more, ",
-                source.need("limits.clearance_min_mm", PLACES, "mm"),
-                " asked; curvature up to ",
-                source.need("metrics.curvature_max_per_mm", 3, "1/mm"),
-                " of ",
-                source.need("limits.curvature_max_per_mm", 3, "1/mm"),
-            ),
+            phrase("way of the tip from the entrance"),
         ),
+        *place_keys(source),
     ]
     return tuple(made)
 
@@ -167,6 +159,7 @@ def _charts(source: Source) -> tuple[Drawing, ...]:
             limit=level,
             limit_label=words or "contact",
             label=f"{title}, {unit}: from {values[0]:.2f} to {values[-1]:.2f}",
+            full=True,
         )
         made.append(Drawing(title, in_all_widths(partial(step_chart, spec)), unit))
     return tuple(made)

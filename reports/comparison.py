@@ -24,7 +24,7 @@ from reports.tables import DASH
 from reports.wall import LightMesh, light_mesh
 from reports.words import Verdict, verdict
 from segmentation.arrays import FloatArray
-from tubeplan_viz.result import ComparedRun, Comparison
+from tubeplan_viz.result import STRAIGHT_MM, ComparedRun, Comparison
 
 VERBS = {"ok": ("holds", "hold"), "flagged": ("is flagged", "are flagged"), "infeasible": ("finds no path", "find no path")}
 KINDS = {"clearance": ("clearance_mm", "clearance_min_mm"), "curvature": ("curvature_per_mm", "curvature_max_per_mm")}
@@ -170,6 +170,9 @@ def _lead(source: Source, document: Mapping[str, Any], runs: Sequence[ComparedRu
     for k, row in enumerate(document["rows"]):
         if row["key"] in TOLD_FIRST and len(row["best"]) == 1:
             best = row["best"][0]
+            if row["key"] == "bend_radius_mm" and row["values"][best] >= STRAIGHT_MM:
+                said.append(phrase(f"{runs[best].label} is straight"))
+                continue
             figure = source.need(
                 f"rows.{k}.values.{best}", row["digits"], row["unit"], signed=row["key"] == "margin_mm", strong=True
             )
@@ -188,7 +191,9 @@ def _row(source: Source, k: int, row: Mapping[str, Any]) -> DifferenceRow:
         gap = row["difference"][n]
         seen = gap is not None and round(gap, digits) != 0.0
         apart = source.figure(f"rows.{k}.difference.{n}", digits, signed=seen) if n else None
-        cells.append(Cell(phrase(shown), None if apart is None else phrase(apart), n in row["best"]))
+        straight = row["key"] == "bend_radius_mm" and value >= STRAIGHT_MM
+        gap_shown = None if apart is None else phrase(apart)
+        cells.append(Cell(phrase("straight") if straight else phrase(shown), gap_shown, n in row["best"]))
     unit = f", {row['unit']}" if row["unit"] else ""
     return DifferenceRow(f"{row['title']}{unit}", str(row["better"] or ""), tuple(cells))
 

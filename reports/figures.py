@@ -259,18 +259,19 @@ def strip_chart(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Steps:
-    """The worst value of one limit after each iteration."""
+    """The worst value of one limit after each iteration; `full` draws it as wide as the charts over arc length."""
 
     kind: str
     values: FloatArray
     limit: float | None
     limit_label: str
     label: str
+    full: bool = False
 
 
 def step_chart(spec: Steps, width: Width) -> Markup:
     """A figure per iteration against its limit; the dot says whether the limit is kept."""
-    wide, tall = width.half, 150
+    wide, tall = width.plot if spec.full else width.half, 150
     asked = [] if spec.limit is None else [spec.limit]
     low, high = min([float(spec.values.min()), *asked]), max([float(spec.values.max()), *asked])
     spread = max(high - low, 0.05 * abs(high), 1e-6)
@@ -291,7 +292,9 @@ def step_chart(spec: Steps, width: Width) -> Markup:
         at, height = free_place(spec.limit_label, level, [(dense, np.interp(dense, index, spec.values))], [], x, y)
         parts.append(tag("text", spec.limit_label, class_="limit-label halo", x=at, y=height))
     for k, value in enumerate(spec.values):
-        kept = spec.limit is None or (value >= spec.limit if spec.kind == "clearance" else value <= spec.limit)
+        # A command at the limit itself comes back from radians with its last digits changed.
+        beyond = 0.0 if spec.limit is None else (spec.limit - value) * (1.0 if spec.kind == "clearance" else -1.0)
+        kept = beyond <= 1e-9 * abs(spec.limit or 0.0)
         parts.append(
             tag(
                 "circle",

@@ -20,8 +20,8 @@ from reports.needle_tables import (
     insertion_table,
     obstacles_table,
 )
-from reports.numbers import Phrase, Source, phrase
-from reports.parts import Drawing, Key, PlanPage, Table
+from reports.numbers import Phrase, Source, phrase, sentence
+from reports.parts import Drawing, Key, PlanPage, Table, place_keys
 
 WORDS = {"ok": "Holds", "flagged": "Flagged", "infeasible": "No path"}
 PLACES = 2
@@ -108,8 +108,7 @@ def _views_line(details: Mapping[str, Any]) -> str:
 def _lead(source: Source, status: str) -> Phrase:
     reason = source.result.get("reason")
     if status != "ok":
-        text = str(reason)
-        return phrase(text[:1].upper() + text[1:] + ("" if text.endswith(".") else "."))
+        return phrase(sentence(str(reason)))
     least = source.figure("metrics.clearance_min_mm", PLACES, "mm")
     asked = source.need("limits.clearance_min_mm", PLACES, "mm")
     error = source.need("metrics.tip_error_mm", 6, "mm")
@@ -126,17 +125,11 @@ def _keys(source: Source) -> tuple[Key, ...]:
     curvature = source.need("limits.curvature_max_per_mm", 4, "1/mm")
     radius = source.need("derived:bend_radius_limit_mm", 1, "mm")
     made = [Key("Needle bends with radius", phrase(radius), phrase("curvature ", curvature, ", clearance asked ", asked))]
+    made += place_keys(source)
     length = source.figure("metrics.length_mm", 3, "mm")
     if length is not None:
-        made.append(
-            Key("Length", phrase(length), phrase("largest curvature ", source.need("metrics.curvature_max_per_mm", 4, "1/mm")))
-        )
-    least = source.figure("metrics.clearance_min_mm", PLACES, "mm")
-    if least is not None:
-        made.append(
-            Key("Least clearance", phrase(least), phrase("margin ", source.need("derived:margin_mm", 4, "mm", signed=True)))
-        )
-    angle = source.figure("details.insertion_angle_deg", 4, "°")
+        made.append(Key("Length", phrase(length), phrase("from entry to tip")))
+    angle = source.figure("details.insertion_angle_deg", 3, "°")
     if angle is not None:
         made.append(Key("Insertion angle", phrase(angle), phrase(f"form {source.result['details'].get('chosen_form')}")))
     return tuple(made)

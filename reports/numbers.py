@@ -8,6 +8,7 @@ the exact number beside the rounded text. A `Phrase` is a sentence with figures 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -60,12 +61,17 @@ class Figure:
         """The figure as printed, without its unit."""
         return printed(self.value, self.digits, signed=self.signed)
 
+    @property
+    def _tail(self) -> str:
+        """The unit as it stands behind the figure: the degree sign close by, all others after a space."""
+        return self.unit if self.unit in ("", "°") else f"{NARROW}{self.unit}"
+
     def __str__(self) -> str:
-        return self.text + (f"{NARROW}{self.unit}" if self.unit else "")
+        return self.text + self._tail
 
     def __html__(self) -> str:
         data = Markup('<data class="v" value="{}" data-key="{}">{}</data>').format(json.dumps(self.value), self.key, self.text)
-        unit = escape(f"{NARROW}{self.unit}" if self.unit else "")
+        unit = escape(self._tail)
         return Markup("<strong>{}{}</strong>").format(data, unit) if self.strong else data + unit
 
 
@@ -80,6 +86,18 @@ class Phrase:
 
     def __html__(self) -> str:
         return Markup("").join(escape(part) for part in self.parts)
+
+
+def sentence(text: str) -> str:
+    """A planner's words as a sentence of the page: capital letter, full stop, true minus signs.
+
+    Examples
+    --------
+    >>> sentence("the wall is -0.5 mm away")
+    'The wall is −0.5 mm away.'
+    """
+    text = re.sub(r"(?<![\w.])-(?=\d)", MINUS, text.strip())
+    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) or not text else ".")
 
 
 def phrase(*parts: str | Figure | Phrase | None) -> Phrase:

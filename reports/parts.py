@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from reports.numbers import Phrase
+from reports.numbers import Phrase, Source, phrase
+from reports.words import bend_key, margin_key
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,17 @@ class Key:
     term: str
     value: Phrase
     more: Phrase
+    tone: str = ""
+
+
+def place_keys(source: Source) -> tuple[Key, ...]:
+    """The tightest place and the sharpest bend of a path, each with its depth: on the first screen of every planner's page."""
+    made = []
+    for key in (margin_key(source), bend_key(source)):
+        if key is not None:
+            more = (part for k, line in enumerate(key.more) for part in (", " if k else "", line))
+            made.append(Key(key.term, key.value, phrase(*more), key.tone))
+    return tuple(made)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from reports.words import worst_place
 from reports.workspace import Course
 from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
+from tubeplan_viz.result import STRAIGHT_MM
 
 PLANES = (
     ("axial", "Axial", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("R", "L", "A", "P")),
@@ -48,7 +49,8 @@ def critical_places(course: Course, source: Source, volume: Volume | None, windo
     if course.clearance is not None and (least := source.figure("metrics.clearance_min_mm", 2, "mm")) is not None:
         index = int(course.clearance.argmin())
         found.append(("Tightest place", index, phrase("at ", worst_place(source, "clearance"), ", clearance ", least)))
-    if (radius := source.figure("derived:bend_radius_mm", 1, "mm")) is not None:
+    radius = source.figure("derived:bend_radius_mm", 1, "mm")
+    if radius is not None and radius.value < STRAIGHT_MM:
         index = int(course.curvature.argmax())
         found.append(("Sharpest bend", index, phrase("at ", worst_place(source, "curvature"), ", radius ", radius)))
     asked = source.value("limits.clearance_min_mm")

@@ -10,7 +10,7 @@ import numpy as np
 
 from reports.derived import derived_values
 from reports.folds import Fold, folds
-from reports.numbers import Phrase, Source, phrase
+from reports.numbers import Phrase, Source, phrase, sentence
 from reports.parts import Drawing, Key, PlanPage
 from reports.rigid_drawings import LABEL_COLORS, corridor_view, entry_map, goals_chart, label_picture, profile_drawing
 from reports.tables import or_dash
@@ -88,8 +88,7 @@ def make_rigid_page(case_id: str, result: Mapping[str, Any], volume: Volume, str
 
 def _lead(source: Source, status: str) -> Phrase:
     if status != "ok":
-        text = str(source.result["reason"])
-        return phrase(text[:1].upper() + text[1:] + ("" if text.endswith(".") else "."))
+        return phrase(sentence(str(source.result["reason"])))
     least = source.need("metrics.clearance_min_mm", 2, "mm", strong=True)
     proved = source.need("certificate.clearance_lower_bound_mm", 2, "mm")
     feasible, starts = source.need("details.entry.counts.feasible", 0), source.need("details.entry.counts.starts", 0)

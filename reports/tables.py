@@ -10,6 +10,7 @@ import numpy as np
 
 from reports.numbers import Figure, Phrase, Source, phrase, printed
 from reports.words import part_at
+from tubeplan_viz.result import STRAIGHT_MM
 
 KINDS = {
     "start": "Start",
@@ -58,6 +59,11 @@ def or_dash(figure: Figure | None) -> Phrase:
     return DASH if figure is None else phrase(figure)
 
 
+def radius_or_straight(figure: Figure | None) -> Phrase:
+    """A bend radius, or the word where there is no bend to speak of; a dash where the result has none."""
+    return phrase("straight") if figure is not None and figure.value >= STRAIGHT_MM else or_dash(figure)
+
+
 def measures(source: Source, first: Mapping[str, Any]) -> tuple[MeasureRow, ...]:
     """Before (iteration 0) against planned, row by row; measures that the planner does not give are left out."""
     limits = source.result.get("limits") or {}
@@ -89,8 +95,8 @@ def measures(source: Source, first: Mapping[str, Any]) -> tuple[MeasureRow, ...]
             "derived:bend_radius_mm",
             MeasureRow(
                 "Least bend radius, mm",
-                or_dash(source.figure("derived:bend_radius_before_mm", 2)),
-                or_dash(source.figure("derived:bend_radius_mm", 2)),
+                radius_or_straight(source.figure("derived:bend_radius_before_mm", 2)),
+                radius_or_straight(source.figure("derived:bend_radius_mm", 2)),
                 or_dash(source.figure("derived:bend_radius_limit_mm", 2)),
                 sharp,
             ),

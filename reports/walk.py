@@ -117,7 +117,7 @@ def top_words(film: Film, source: Source) -> str:
     """Where the first picture's top points."""
     up = film.stills[0].camera.up
     if source.result.get("frame") != "LPS":
-        return "along {:+.1f}, {:+.1f}, {:+.1f} of the mesh’s axes".format(*up).replace("-", "\u2212")
+        return f"along {', '.join(printed(float(v), 1, signed=True) for v in up)} of the mesh’s axes"
     names: Sequence[tuple[str, str]] = (("left", "right"), ("posterior", "anterior"), ("superior", "inferior"))
     k = max(range(3), key=lambda axis: abs(float(up[axis])))
     return names[k][0 if up[k] > 0 else 1]

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase
+from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, sentence
+from tubeplan_viz.result import STRAIGHT_MM
 
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 ROWS_SHOWN = 6  # flagged stretches listed at once; the rest is one fold away
@@ -89,7 +90,9 @@ def verdict(source: Source, parts: Sequence[Mapping[str, Any]]) -> Verdict:
         title=_title(source, status, flags),
         lead=_lead(source, status, parts),
         warnings=tuple(str(text) for text in details.get("warnings") or ()),
-        keys=tuple(key for key in (_instrument(source), _margin(source, parts), _bend(source, parts), _takes(source)) if key),
+        keys=tuple(
+            key for key in (_instrument(source), margin_key(source, parts), bend_key(source, parts), _takes(source)) if key
+        ),
         flags=shown,
         more_flags=folded,
     )
@@ -157,7 +160,7 @@ def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]]) -> P
 def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Phrase:
     reason = source.result.get("reason")
     if status == "infeasible":
-        return phrase(_sentence(str(reason)) if reason else "")
+        return phrase(sentence(str(reason)) if reason else "")
     said: list[Phrase] = []
     margin, at = source.value("derived:margin_mm"), worst_place(source, "clearance")
     asked = source.figure("limits.clearance_min_mm", 2, "mm")
@@ -187,7 +190,9 @@ def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Ph
         else:
             said.append(phrase(where, " the path comes closest to the wall: ", least, " where ", asked, " are asked for. "))
     radius, allowed = _radii(source)
-    if radius is not None and allowed is not None:
+    if radius is not None and allowed is not None and radius.value >= STRAIGHT_MM:
+        said.append(phrase("It is straight. "))
+    elif radius is not None and allowed is not None:
         strong = Figure(radius.key, radius.value, radius.digits, radius.unit, strong=True)
         over = (source.value("derived:curvature_excess_percent") or 0.0) > 0.0
         span = phrase(", over ", source.figure("derived:flagged_curvature_mm", 1, "mm"), " in all") if over else phrase()
@@ -198,11 +203,6 @@ def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Ph
     elif status == "flagged":
         said.append(phrase("Everywhere else both limits hold."))
     return phrase(*said)
-
-
-def _sentence(text: str) -> str:
-    text = text.strip()
-    return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
 def _instrument(source: Source) -> KeyFigure | None:
@@ -225,7 +225,8 @@ def _instrument(source: Source) -> KeyFigure | None:
     return KeyFigure("Instrument", value, tuple(more))
 
 
-def _margin(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | None:
+def margin_key(source: Source, parts: Sequence[Mapping[str, Any]] = ()) -> KeyFigure | None:
+    """The tightest place: how much is left of the clearance asked for, and where."""
     margin = _margin_figure(source, signed=True)
     if margin is None:
         return None
@@ -239,7 +240,8 @@ def _margin(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | N
     return KeyFigure("Worst margin", phrase(margin), tuple(more), "clearance" if margin.value < 0 else "")
 
 
-def _bend(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | None:
+def bend_key(source: Source, parts: Sequence[Mapping[str, Any]] = ()) -> KeyFigure | None:
+    """The sharpest bend: its radius, its share of the limit, and where."""
     reached = source.figure("metrics.curvature_max_per_mm", 4, "1/mm")
     if reached is None:
         return None
@@ -254,7 +256,7 @@ def _bend(source: Source, parts: Sequence[Mapping[str, Any]]) -> KeyFigure | Non
         more = [phrase(reached, ", ", over, "\u00a0% over ", allowed)]
     if at is not None:
         more.append(phrase("at ", at, f", {place}" if place else ""))
-    value = phrase("radius ", radius) if radius is not None and radius.value < 1000 else phrase("straight")
+    value = phrase("radius ", radius) if radius is not None and radius.value < STRAIGHT_MM else phrase("straight")
     return KeyFigure("Sharpest bend", value, tuple(more), "curvature" if over is not None and over.value > 0 else "")
 
 
@@ -267,7 +269,7 @@ def _takes(source: Source) -> KeyFigure | None:
     if diameter.value <= 0:
         return KeyFigure("This path takes", phrase("no instrument"), (phrase("its centre line touches the wall"),), "never")
     more = [phrase("the width its least clearance leaves")]
-    if radius is not None and radius.value < 1000:
+    if radius is not None and radius.value < STRAIGHT_MM:
         more.append(phrase("if it bends to a radius of ", radius))
     return KeyFigure(
         "This path takes", phrase("⌀\u00a0", diameter), tuple(more), "holds" if source.result["status"] == "ok" else ""

@@ -42,7 +42,7 @@ def source(told: dict[str, Any]) -> Source:
 def test_the_first_size_that_fails_is_named_with_where_it_fails() -> None:
     found = pose_errors(source(presets((1.0, 0.8, 0.5, 0.2, 0.1))))
     assert found is not None
-    assert str(found.lead).startswith("Under an error of 2.0\u00a0mm and 2.0\u00a0° the path stays clear with probability 0.800")
+    assert str(found.lead).startswith("Under an error of 2.0\u00a0mm and 2.0° the path stays clear with probability 0.800")
     assert "most often first at 6.5\u00a0mm" in str(found.lead)
     assert [[str(chance) for chance in row.chances] for row in found.rows][1] == ["0.800", "0.900", "1.000"]
     assert [str(row.first) for row in found.rows] == ["–", "6.5\u00a0mm", "6.5\u00a0mm", "6.5\u00a0mm", "6.5\u00a0mm"]

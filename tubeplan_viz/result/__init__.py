@@ -1,6 +1,6 @@
 """result.json and its schema, the run folder, exports, and the run as recording and report see it."""
 
-from tubeplan_viz.result.comparison import COMPARISON_FILES, ComparedRun, Comparison, compare_runs, read_runs
+from tubeplan_viz.result.comparison import COMPARISON_FILES, STRAIGHT_MM, ComparedRun, Comparison, compare_runs, read_runs
 from tubeplan_viz.result.document import Provenance, assemble_result, build_result, plain, result_text
 from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, flag_markups, path_csv, slicer_markups
@@ -12,6 +12,7 @@ __all__ = [
     "COMPARISON_FILES",
     "CSV_COLUMNS",
     "RESULT",
+    "STRAIGHT_MM",
     "ComparedRun",
     "Comparison",
     "Provenance",

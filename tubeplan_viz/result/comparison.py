@@ -18,6 +18,7 @@ from tubeplan_viz.result.folder import file_sha256, read_result
 
 COMPARISON_FILES = ("compare.json", "report.html", "recording.rrd")  # the first names the kind of folder
 LABELS = "ABCDEF"
+STRAIGHT_MM = 1000.0  # bends of a larger radius are called straight, and compared as equal
 ENDS_APART_MM = 0.5  # two spacings of the path in result.json
 TAKEN_OVER = (
     "status",
@@ -206,6 +207,8 @@ def _row(measure: Measure, runs: Sequence[ComparedRun]) -> dict[str, Any] | None
     if all(value is None for value in values):
         return None
     first = values[0]
+    straight = [measure.key == "bend_radius_mm" and value is not None and value >= STRAIGHT_MM for value in values]
+    compared = [STRAIGHT_MM if none_bent else value for value, none_bent in zip(values, straight, strict=True)]
     return {
         "key": measure.key,
         "title": measure.title,
@@ -213,8 +216,11 @@ def _row(measure: Measure, runs: Sequence[ComparedRun]) -> dict[str, Any] | None
         "digits": measure.digits,
         "better": measure.better or None,
         "values": values,
-        "difference": [None if value is None or first is None else value - first for value in values],
-        "best": better_of(values, measure.better, measure.digits),
+        "difference": [
+            None if value is None or first is None or straight[0] or none_bent else value - first
+            for value, none_bent in zip(values, straight, strict=True)
+        ],
+        "best": better_of(compared, measure.better, measure.digits),
     }
 
 

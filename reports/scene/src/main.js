@@ -2,6 +2,6 @@
 // first; unpacking and the scene follow, so that the verdict never waits for them.
 import './page.js';
 
-document.documentElement.classList.add('script');
+document.documentElement.classList.add('script', 'cursors');
 const start = () => (document.getElementById('tubeplan-compare') ? import('./compare.js') : import('./app.js'));
 requestAnimationFrame(() => setTimeout(start));
