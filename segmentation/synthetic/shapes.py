@@ -139,6 +139,8 @@ def smooth_field(
 
     `spacing` is in mm along the three array axes.
     """
+    if min(shape) == 0:  # beside the image
+        return np.zeros(shape)
     matrices = []
     for n, step in zip(shape, spacing, strict=True):
         spans = max(int(np.ceil(n * step / scale)), 1)

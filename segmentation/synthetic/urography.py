@@ -59,21 +59,36 @@ def urography(*, seed: int = SEED, settings: UrographySettings | None = None) ->
     same on any machine.
     """
     settings = settings or UrographySettings()
+    canvas = empty_canvas(settings)
+    system = collecting_system(lower_border(settings))
+    anatomy, quality = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
+    paint_abdomen(canvas, system, rng=anatomy)
+    return Urography(volume=scanned(canvas, settings, rng=quality), truth=system)
+
+
+def lower_border(settings: UrographySettings) -> float:
+    """z of the image's lower face, mm."""
+    return settings.first_voxel[2] - 0.5 * settings.spacing[0]
+
+
+def empty_canvas(settings: UrographySettings) -> Canvas:
+    """Air on the grid of a scan."""
     z, y, x = (
         np.asarray(first + step * np.arange(n, dtype=float))
         for first, step, n in zip(settings.first_voxel[::-1], settings.spacing, settings.shape, strict=True)
     )
-    canvas = Canvas(x, y, z, np.full(settings.shape, AIR))
-    system = collecting_system(float(z[0] - 0.5 * settings.spacing[0]))
-    anatomy, quality = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
-    paint_abdomen(canvas, system, rng=anatomy)
-    image = scan(canvas.hu, settings.spacing, settings.scanner, rng=quality)
+    return Canvas(x, y, z, np.full(settings.shape, AIR))
+
+
+def scanned(canvas: Canvas, settings: UrographySettings, *, rng: np.random.Generator) -> Volume:
+    """The volume that a scanner makes of a painted canvas."""
+    image = scan(canvas.hu, settings.spacing, settings.scanner, rng=rng)
     voxels = np.clip(np.rint(image), -1024, 3071).astype(np.int16)
     index_to_lps = np.eye(4)
     # [slice, row, column] run along z, y, x.
     index_to_lps[:3, :3] = np.diag(settings.spacing[::-1])[:, ::-1]
     index_to_lps[:3, 3] = settings.first_voxel
-    return Urography(volume=Volume(voxels, index_to_lps), truth=system)
+    return Volume(voxels, index_to_lps)
 
 
 def write_demo_series(

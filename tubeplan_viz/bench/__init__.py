@@ -9,7 +9,9 @@ from tubeplan_viz.bench.dynamics import dynamics
 from tubeplan_viz.bench.faults import faults
 from tubeplan_viz.bench.infeasible import infeasible
 from tubeplan_viz.bench.matrix import matrix
-from tubeplan_viz.bench.needle import needle2d, needle3d
+from tubeplan_viz.bench.measures import measures
+from tubeplan_viz.bench.needle import needle3d
+from tubeplan_viz.bench.needle2d import needle2d
 from tubeplan_viz.bench.optimal import optimal
 from tubeplan_viz.bench.paper import paper
 from tubeplan_viz.bench.rigid import rigid
@@ -27,6 +29,7 @@ BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "vmtk": vmtk_line,
     "needle2d": needle2d,
     "needle3d": needle3d,
+    "measures": measures,
     "rigid": rigid,
     "bronchoscope": bronchoscope,
     "dynamics": dynamics,

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tubeplan_viz.measures.balls import PLATEAU
+
 ELBAHNASY = "Elbahnasy AM et al., J Urol 1998; 159(3): 676-682"
 BULLITT = "Bullitt E et al., IEEE Trans Med Imaging 2003; 22(9): 1163-1171 (distance metric)"
 WEIBEL = "Weibel ER, Morphometry of the Human Lung, Springer 1963 (generations counted from the trachea)"
 TAWHAI = "Tawhai MH et al., J Appl Physiol 2004; 97(6): 2310-2321 (branching angle)"
 OWN = "definition of this program"
 EDGE = (
-    "In a CT the outline is where the grey is half way between what fills the lumen and its wall (50 HU), "
-    "in a mesh it is the mesh."
+    "In a CT the outline is where the grey is half way between what fills the lumen and its wall (50 HU, or brighter tissue "
+    "beyond it), less what blur does to a round lumen; in a mesh it is the mesh."
 )
 
 
@@ -105,8 +107,9 @@ _ALL = (
         name="Infundibular length",
         unit="mm",
         digits=1,
-        text="Straight distance from the lip of the pelvis (where the middle line leaves the largest ball that fits into the "
-        "pelvis) to the farthest point that a ball of 2 mm reaches in the calyx.",
+        text="Straight distance from the lip of the pelvis to the bottom of the calyx. The lip is where the middle line leaves "
+        f"for good what balls of {100 * PLATEAU:.0f} % of the largest ball reach in the pelvis; the bottom is where the axis of "
+        f"the calyx, through the centre of its own widest part, meets the wall (a papilla's tip). {EDGE}",
         source=ELBAHNASY,
     ),
     Definition(
@@ -116,7 +119,7 @@ _ALL = (
         unit="mm",
         digits=2,
         text="Diameter of the circle with the area of the narrowest cross-section between the lip of the pelvis and the first "
-        f"minor calyx. {EDGE}",
+        f"minor calyx (least running median over 2 mm). {EDGE}",
         source=ELBAHNASY,
     ),
     Definition(
@@ -143,7 +146,7 @@ _ALL = (
         name="Ureter diameter, least",
         unit="mm",
         digits=2,
-        text="Least of these diameters.",
+        text="Least of these diameters (running median over 2 mm).",
     ),
     Definition(
         key="pelvis_diameter_mm",
@@ -151,7 +154,8 @@ _ALL = (
         name="Pelvis, largest ball",
         unit="mm",
         digits=2,
-        text="Diameter of the largest ball that fits into the collecting system.",
+        text="Diameter of the largest ball that fits into the collecting system, to the edge in the CT.",
+        source="Hildebrand T and Rüegsegger P, J Microsc 1997; 185(1): 67-75 (local thickness)",
     ),
     Definition(
         key="trachea_diameter_mm",

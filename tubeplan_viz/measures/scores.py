@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-RUSS_SOURCE = "Resorlu B et al., Urology 2012; 80(3): 512-518 (Resorlu-Unsal stone score)"
-RIRS_SOURCE = "Xiao Y et al., BMC Urology 2017; 17: 105 (R.I.R.S. scoring system)"
+RUSS_SOURCE = "Resorlu B et al., Urology 2012; 80(3): 512-518 (Resorlu-Unsal stone score; one point for each of four)"
+RIRS_SOURCE = (
+    "Xiao Y et al., BMC Urology 2017; 17: 105, doi 10.1186/s12894-017-0297-0 (R.I.R.S. scoring system; four parts, 4 to 10)"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +108,11 @@ class Score:
 NO_STONE = "no stone was given"
 
 
+def part(name: str, rule: str, points: int | None, span: tuple[int, int], given: str) -> ScorePart:
+    """One part of a score, whose rule gives from the first to the second of `span`."""
+    return ScorePart(name=name, rule=rule, points=points, lowest=span[0], highest=span[1], given=given)
+
+
 def russ(facts: StoneFacts) -> Score:
     """Resorlu-Unsal stone score [1]_: one point each for four conditions, 0 to 4.
 
@@ -114,45 +121,42 @@ def russ(facts: StoneFacts) -> Score:
     .. [1] Resorlu, B., Unsal, A., Gulec, H., Oztuna, D. (2012). A new scoring system for predicting stone-free rate
        after retrograde intrarenal surgery: the "Resorlu-Unsal stone score". Urology 80(3), 512-518.
     """
-    size = None if facts.burden is None else int(facts.burden > 20.0)
-    number = None if facts.calyces is None else int(facts.calyces > 1)
+    anatomy = (
+        "it does not follow from the lumen; say it with abnormal_anatomy in [measures]"
+        if facts.abnormal is None
+        else f"the case says {'yes' if facts.abnormal else 'no'}"
+    )
     return Score(
         name="RUSS",
         source=RUSS_SOURCE,
         parts=(
-            ScorePart(
-                name="Stone size",
-                rule="over 20 mm: 1",
-                points=size,
-                lowest=0,
-                highest=1,
-                given=told(facts.burden, "{:.1f} mm in all", NO_STONE),
+            part(
+                "Stone size",
+                "over 20 mm: 1",
+                _steps(facts.burden, (20.0,), first=0),
+                (0, 1),
+                told(facts.burden, "{:.1f} mm in all", NO_STONE),
             ),
-            ScorePart(
-                name="Lower pole with an angle below 45°",
-                rule="stone in the lower pole and infundibulopelvic angle below 45°: 1",
-                points=_steep(facts, 45.0, (0, 0, 1), inclusive=False),
-                lowest=0,
-                highest=1,
-                given=_pole_words(facts),
+            part(
+                "Lower pole with an angle below 45°",
+                "stone in the lower pole and infundibulopelvic angle below 45°: 1",
+                _steep(facts, 45.0, (0, 0, 1), inclusive=False),
+                (0, 1),
+                _pole_words(facts),
             ),
-            ScorePart(
-                name="Stones in several calyces",
-                rule="more than one calyx: 1",
-                points=number,
-                lowest=0,
-                highest=1,
-                given=told(facts.calyces, "{:d} calyx or calyces", "it is not known in which calyces stones lie"),
+            part(
+                "Stones in several calyces",
+                "more than one calyx: 1",
+                _steps(facts.calyces, (1.0,), first=0),
+                (0, 1),
+                told(facts.calyces, "{:d} calyx or calyces", "it is not known in which calyces stones lie"),
             ),
-            ScorePart(
-                name="Abnormal renal anatomy",
-                rule="horseshoe or pelvic kidney: 1",
-                points=None if facts.abnormal is None else int(facts.abnormal),
-                lowest=0,
-                highest=1,
-                given="it does not follow from the lumen; say it with abnormal_anatomy in [measures]"
-                if facts.abnormal is None
-                else f"the case says {'yes' if facts.abnormal else 'no'}",
+            part(
+                "Abnormal renal anatomy",
+                "horseshoe or pelvic kidney: 1",
+                None if facts.abnormal is None else int(facts.abnormal),
+                (0, 1),
+                anatomy,
             ),
         ),
     )
@@ -170,37 +174,33 @@ def rirs(facts: StoneFacts) -> Score:
         name="R.I.R.S.",
         source=RIRS_SOURCE,
         parts=(
-            ScorePart(
-                name="Renal stone density",
-                rule="up to 1000 HU: 1, above: 2",
-                points=_steps(facts.density, (1000.0,)),
-                lowest=1,
-                highest=2,
-                given=told(facts.density, "{:.0f} HU", NO_STONE),
+            part(
+                "Renal stone density",
+                "up to 1000 HU: 1, above: 2",
+                _steps(facts.density, (1000.0,), first=1),
+                (1, 2),
+                told(facts.density, "{:.0f} HU", NO_STONE),
             ),
-            ScorePart(
-                name="Inferior pole stone",
-                rule="not in the lower pole: 1; angle above 30°: 2; up to 30°: 3",
-                points=_steep(facts, 30.0, (1, 2, 3), inclusive=True),
-                lowest=1,
-                highest=3,
-                given=_pole_words(facts),
+            part(
+                "Inferior pole stone",
+                "not in the lower pole: 1; angle above 30°: 2; up to 30°: 3",
+                _steep(facts, 30.0, (1, 2, 3), inclusive=True),
+                (1, 3),
+                _pole_words(facts),
             ),
-            ScorePart(
-                name="Renal infundibular length",
-                rule="up to 25 mm: 1, above: 2",
-                points=_steps(facts.length, (25.0,)),
-                lowest=1,
-                highest=2,
-                given=told(facts.length, "{:.1f} mm", "no infundibular length to the calyx of a stone"),
+            part(
+                "Renal infundibular length",
+                "up to 25 mm: 1, above: 2",
+                _steps(facts.length, (25.0,), first=1),
+                (1, 2),
+                told(facts.length, "{:.1f} mm", "no infundibular length to the calyx of a stone"),
             ),
-            ScorePart(
-                name="Stone burden",
-                rule="up to 10 mm: 1; up to 20 mm: 2; above: 3",
-                points=_steps(facts.burden, (10.0, 20.0)),
-                lowest=1,
-                highest=3,
-                given=told(facts.burden, "{:.1f} mm in all", NO_STONE),
+            part(
+                "Stone burden",
+                "up to 10 mm: 1; up to 20 mm: 2; above: 3",
+                _steps(facts.burden, (10.0, 20.0), first=1),
+                (1, 3),
+                told(facts.burden, "{:.1f} mm in all", NO_STONE),
             ),
         ),
     )
@@ -211,9 +211,9 @@ def told(value: float | None, form: str, lacking: str) -> str:
     return lacking if value is None else form.format(value)
 
 
-def _steps(value: float | None, limits: tuple[float, ...]) -> int | None:
-    """1 and one more for each limit that is exceeded."""
-    return None if value is None else 1 + sum(value > limit for limit in limits)
+def _steps(value: float | None, limits: tuple[float, ...], *, first: int) -> int | None:
+    """The first points and one more for each limit that is exceeded."""
+    return None if value is None else first + sum(value > limit for limit in limits)
 
 
 def _steep(facts: StoneFacts, limit: float, points: tuple[int, int, int], *, inclusive: bool) -> int | None:

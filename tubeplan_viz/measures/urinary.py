@@ -1,28 +1,26 @@
 """Measures of a collecting system: infundibulopelvic angle, infundibular length and width, diameters."""
 
-# Strategy: the centre of the pelvis is where the largest ball that fits into the lumen can lie. The way
-# from the ureter to each calyx leaves this ball at the lip of the pelvis; ways that leave it on the
-# same branch share an infundibulum, which goes on to where they part. Everything else is a length,
-# a direction or a cross-section along these ways.
+# Strategy: the pelvis is what balls nearly as large as the largest in the lumen reach. The way from the ureter to each
+# calyx leaves it for good at the lip of the pelvis; ways that leave it on the same branch share an infundibulum, which
+# goes on to where they part. Everything else is a length, a direction or a cross-section along these ways.
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
-from segmentation.mesh import Surface
 from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
+from tubeplan_viz.measures.balls import WidePart, wide_part
+from tubeplan_viz.measures.ends import OutwardWall, Rim, calyx_bottoms
 from tubeplan_viz.measures.lines import Lumen, angle_between, fitted_direction, place
 from tubeplan_viz.measures.measure import Drawing, Measure, lacking
 
 AXIS_LEAST_MM = 8.0  # a shorter stretch of middle line gives no sure direction
 JUNCTION_SEARCH_MM = 15.0
-PLATEAU, GRID_MM = 0.85, 0.5
-PROBE_MM = 1.0
+NARROW_RUN = 5  # sections, 2 mm: the narrowest place is that of their running median, not the noise of one section
 URETER_SKIP_MM = 2.0  # beside the ureter's cut end a cross-section may meet the cap
 CORONAL = np.array([1.0, 0.0, 1.0])  # seen from the front: left and up remain
 
@@ -98,18 +96,22 @@ def urinary_measures(lumen: Lumen, settings: UrinarySettings) -> UrinaryMeasures
     ways = {target: line for target, line in enumerate(lines) if line is not None}
     widest = max(ways, key=lambda target: float(ways[target].radii.max()))
     at = int(ways[widest].radii.argmax())
-    center, radius = pelvis_ball(lumen, ways[widest].points[at], float(ways[widest].radii[at]))
+    pelvis = wide_part(lumen.wall, ways[widest].points[at], float(ways[widest].radii[at]))
+    center, wall = pelvis.center, OutwardWall(lumen.wall.surface)
+    rim = Rim(pelvis, wall, lumen)
+    margin, blur = rim.margin()
+    radius = pelvis.largest + margin
     trunk = Centerline(ways[widest].points[: at + 1], ways[widest].radii[: at + 1]) if at > 0 else None
     measures = [Measure(key="pelvis_diameter_mm", value=2.0 * radius)]
     measures += ureter_measures(lumen, trunk, radius)
     level = ureter_place(trunk, center, settings.ureter_level)
-    infundibula = find_infundibula(lumen, ways, center, radius)
+    infundibula = find_infundibula(lumen, ways, pelvis, rim)
     drawn_lines = {f"way to {lumen.labels[target]}": line.points for target, line in ways.items()}
     drawn_points = {"pelvis": center}
     if level is not None:
         drawn_points["ureter level"] = level
     lips = {target: place(ways[target], one.lip) for one in infundibula for target in one.targets}
-    bottoms = calyx_bottoms(lumen, lips)
+    bottoms = calyx_bottoms(lumen, ways, lips, wall, blur)
     for infundibulum in infundibula:
         of = f"{infundibulum.name} infundibulum"
         way = ways[longest_way(infundibulum, ways)]
@@ -129,41 +131,28 @@ def urinary_measures(lumen: Lumen, settings: UrinarySettings) -> UrinaryMeasures
     )
 
 
-def pelvis_ball(lumen: Lumen, near: FloatArray, radius: float) -> tuple[FloatArray, float]:
-    """Centre of the pelvis, (3,) mm, and radius of the largest ball in it, mm.
-
-    The largest ball has much the same size over some millimetres, so that its own centre is not
-    sure. The centre taken is the mean of all places whose ball has `PLATEAU` of its radius.
+def find_infundibula(lumen: Lumen, ways: dict[int, Centerline], pelvis: WidePart, rim: Rim) -> tuple[Infundibulum, ...]:
+    """Group the ways by the branch on which they leave the pelvis, and name the groups from above.
 
     Parameters
     ----------
-    near : (3,) float array, mm
-        Centre of a ball that is nearly the largest.
-    radius : float, mm
-        Its radius.
+    pelvis : WidePart
+    rim : Rim
+        Where its edge is.
     """
-    steps = np.arange(-radius, radius + 0.5 * GRID_MM, GRID_MM)
-    center, largest = near, radius
-    for _ in range(3):  # the box may have to follow
-        grid = center + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
-        clearance = lumen.wall.clearance(grid)
-        largest = float(clearance.max())
-        moved = grid[clearance >= PLATEAU * largest].mean(axis=0)
-        if np.linalg.norm(moved - center) < 0.5 * GRID_MM:
-            return moved, largest
-        center = moved
-    return center, largest
-
-
-def find_infundibula(lumen: Lumen, ways: dict[int, Centerline], center: FloatArray, radius: float) -> tuple[Infundibulum, ...]:
-    """Group the ways by the branch on which they leave the pelvis, and name the groups from above."""
     groups: dict[int, list[int]] = {}
     lips: dict[int, float] = {}
     for target, line in ways.items():
-        inside = np.flatnonzero(np.linalg.norm(line.points - center, axis=1) <= radius)
+        level = pelvis.level(line.points)
+        inside = np.flatnonzero(level <= 0.0)
         if not len(inside) or inside[-1] == len(line.points) - 1:
             continue  # leaves the ureter before the pelvis, or is a bulge of the pelvis
-        lips[target] = crossing(line, int(inside[-1]), center, radius)
+        k = int(inside[-1])
+        level -= rim.margin(line.points[k])[0]
+        inside = np.flatnonzero(level <= 0.0)
+        k = min(int(inside[-1]) if len(inside) else k, len(level) - 2)
+        share = float(np.clip(level[k] / (level[k] - level[k + 1]), 0.0, 1.0))
+        lips[target] = float(line.arc_length[k] + share * (line.arc_length[k + 1] - line.arc_length[k]))
         groups.setdefault(branch_at(lumen.tree, target, lips[target]), []).append(target)
     found = []
     for number, targets in groups.items():
@@ -188,13 +177,6 @@ def group_names(count: int) -> list[str]:
         return ["only"][:count]
     middle = ["middle"] if count == 3 else [f"middle {k + 1}" for k in range(count - 2)]
     return ["upper", *middle, "lower"]
-
-
-def crossing(line: Centerline, index: int, center: FloatArray, radius: float) -> float:
-    """Arc length between vertices `index` and the next at which a line leaves a ball."""
-    near, far = (float(np.linalg.norm(line.points[k] - center)) for k in (index, index + 1))
-    share = (radius - near) / (far - near)
-    return float(line.arc_length[index] + share * (line.arc_length[index + 1] - line.arc_length[index]))
 
 
 def branches_to(tree: CenterlineTree, target: int) -> list[int]:
@@ -271,7 +253,13 @@ def width_measures(lumen: Lumen, way: Centerline, infundibulum: Infundibulum, of
     diameters = lumen.diameters(way, infundibulum.lip, infundibulum.end)
     if not len(diameters):
         return lacking("no cross-section of the infundibulum has a closed outline", "infundibular_width_mm", of=of)
-    return [Measure(key="infundibular_width_mm", of=of, value=float(diameters.min()))]
+    return [Measure(key="infundibular_width_mm", of=of, value=narrowest(diameters))]
+
+
+def narrowest(diameters: FloatArray) -> float:
+    """Least running median of diameters along a lumen, mm."""
+    run = min(NARROW_RUN, len(diameters))
+    return float(np.median(np.lib.stride_tricks.sliding_window_view(diameters, run), axis=1).min())
 
 
 def calyx_measures(
@@ -284,7 +272,7 @@ def calyx_measures(
         length = float(np.linalg.norm(farthest[target] - place(way, infundibulum.lip)))
         made = [Measure(key="infundibular_length_mm", of=of, value=length)]
     else:
-        made = lacking(f"no ball of {2.0 * PROBE_MM:g} mm fits into the calyx", "infundibular_length_mm", of=of)
+        made = lacking("the calyx has no part of its own beyond the last branching", "infundibular_length_mm", of=of)
     last = lumen.tree.branches[int(lumen.tree.last_branch[target])]
     # The calyx is the far half of what lies beyond the last branching, or beyond the lip where there is none.
     begin = whole - 0.5 * (last.length if len(infundibulum.targets) > 1 else whole - infundibulum.lip)
@@ -292,41 +280,6 @@ def calyx_measures(
     if not len(widths):
         return made + lacking("no cross-section of the calyx has a closed outline", "calyx_diameter_mm", of=of)
     return [*made, Measure(key="calyx_diameter_mm", of=of, value=float(widths.max()))]
-
-
-def calyx_bottoms(lumen: Lumen, lips: dict[int, FloatArray]) -> dict[int, FloatArray]:
-    """For each calyx the point farthest from the lip of its infundibulum that a ball of `PROBE_MM` reaches, (3,) mm.
-
-    A calyx is the wall that lies nearer to the last branch of its way than to any other branch.
-    The rim around a papilla ends in an edge that no scanner resolves; the ball does not go into it.
-    """
-    branches = lumen.tree.branches
-    places = np.concatenate([branch.line.points for branch in branches])
-    owner = np.repeat(np.arange(len(branches)), [len(branch.line.points) for branch in branches])
-    surface = lumen.wall.surface
-    nearest = owner[cKDTree(places).query(surface.vertices)[1]]
-    inward = -vertex_normals(surface)
-    found = {}
-    for target, lip in lips.items():
-        own = nearest == int(lumen.tree.last_branch[target])
-        centers = surface.vertices[own] + PROBE_MM * inward[own]
-        fits = lumen.wall.clearance(centers) >= 0.99 * PROBE_MM
-        if not fits.any():
-            continue
-        heading = centers[fits] - lip
-        away = np.linalg.norm(heading, axis=1)
-        k = int(away.argmax())
-        found[target] = lip + heading[k] * (1.0 + PROBE_MM / away[k])
-    return found
-
-
-def vertex_normals(surface: Surface) -> FloatArray:
-    """Unit outward normals at the vertices, (n, 3): means of the faces' weighted by area."""
-    weighted = surface.face_normals * surface.face_areas[:, None]
-    total = np.zeros_like(surface.vertices)
-    for corner in range(3):
-        np.add.at(total, surface.faces[:, corner], weighted)
-    return np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
 
 
 def ureter_measures(lumen: Lumen, trunk: Centerline | None, radius: float) -> list[Measure]:
@@ -342,4 +295,4 @@ def ureter_measures(lumen: Lumen, trunk: Centerline | None, radius: float) -> li
     diameters = lumen.diameters(trunk, URETER_SKIP_MM, junction)
     if not len(diameters):
         return lacking("no cross-section of the ureter has a closed outline", *keys)
-    return [Measure(key=keys[0], value=float(diameters.mean())), Measure(key=keys[1], value=float(diameters.min()))]
+    return [Measure(key=keys[0], value=float(diameters.mean())), Measure(key=keys[1], value=narrowest(diameters))]
