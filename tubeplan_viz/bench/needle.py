@@ -1,4 +1,4 @@
-"""tubeplan bench needle2d and needle3d: the papers' cases, optima against a grid, success over seeds, replanning."""
+"""tubeplan bench needle3d: the paper's scenes, success over seeds, replanning, insertions at random."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ import time
 
 import numpy as np
 
-from tubeplan_viz.bench.needle_grid import shorter_path
-from tubeplan_viz.bench.needle_scenes import SCENES, TARGETS, columns, planar, replanned, scattered
+from tubeplan_viz.bench.needle_scenes import SCENES, TARGETS, columns, replanned, scattered
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.cases.needle import NeedleCase, make_needle_case
-from tubeplan_viz.needle.bodies import Sphere
 from tubeplan_viz.needle.insertion import insert
 from tubeplan_viz.needle.kinematics import insertion_pose, push
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings, monte_carlo
-from tubeplan_viz.needle.obstacles import Scene
-from tubeplan_viz.needle.planar import FORMS, PlanarProblem, PlanarSettings, best, plan_planar
 from tubeplan_viz.needle.rrt import plan_rrt
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
@@ -23,71 +19,7 @@ from tubeplan_viz.pipeline import Notify, silent
 from tubeplan_viz.pipeline.needle_ground import load_ground
 from tubeplan_viz.pipeline.needle_plan import event_of
 
-ZHAO, HUO = "Zhao et al. 2013, table 2", "Huo et al. 2015"
-
-
-def needle2d(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
-    """The planar case and random scenes; targets of the paper's cases and of the grid's optima."""
-    free = flat_problem(make_needle_case(planar(obstacles=False)))
-    line = best(plan_planar(free))
-    assert line is not None
-    exact = float(np.hypot(30.0, 90.0))
-    rows = [
-        Row(case="no obstacle", figure="length, mm", ours=line.length, reference=94.7683, source=ZHAO, target="94.8683 exact",
-            holds=abs(line.length - exact) < 1e-9),
-        Row(case="no obstacle", figure="angle, degrees", ours=float(np.degrees(line.angle)), reference=-18.4378, source=ZHAO,
-            target="-18.4349 exact", holds=abs(np.degrees(line.angle) + np.degrees(np.arctan2(30.0, 90.0))) < 1e-9),
-    ]  # fmt: skip
-    case = flat_problem(make_needle_case(planar()))
-    plan_planar(case)  # what is imported on first use is not the planner's time
-    begun = time.process_time()  # the processor's time: others may share it
-    paths = plan_planar(case)
-    spent = time.process_time() - begun
-    printed = {"RL": 93.72, "LRL": 92.79}
-    for path in paths:
-        if path.degree == 1:
-            continue
-        source = ZHAO if path.form in printed else ""
-        holds = path.feasible and path.tip_error < 1e-6
-        figure, target = f"{path.form} length, mm", "tip within 1e-6 mm, clear"
-        known = printed.get(path.form)
-        rows.append(
-            Row(case="three circles", figure=figure, ours=path.length, reference=known, source=source, target=target, holds=holds)
-        )
-    rows.append(Row(case="three circles", figure="all forms, CPU s", ours=spent, target="under 1", holds=spent < 1.0))
-    count = 10 if quick else 200
-    worst = dict.fromkeys(FORMS, 0.0)
-    missed = 0
-    rng = np.random.default_rng(2013)
-    for k in range(count):
-        notify("random scenes", k, count)
-        problem, places = random_scene(rng), np.random.default_rng([2013, k])
-        for path in plan_planar(problem):
-            shorter = shorter_path(problem, path.form, path.length, places)
-            if np.isfinite(shorter):
-                missed += not path.feasible
-                over = path.length / shorter - 1.0 if path.feasible else 0.0
-                worst[path.degree] = max(worst[path.degree], over)
-    told = f"{count} random scenes, brute force"
-    for degree, over in worst.items():
-        figure = f"longer than the grid's best, {degree} piece{'s' if degree > 1 else ''}, %"
-        rows.append(Row(case=told, figure=figure, ours=100.0 * over, target="at most 0.1", holds=over <= 1e-3))
-    rows.append(Row(case=told, figure="forms missed", ours=float(missed), target="none", holds=missed == 0))
-    return rows
-
-
-def flat_problem(case: NeedleCase) -> PlanarProblem:
-    """A planar case posed."""
-    return PlanarProblem(np.array(case.entry), np.array(case.target), load_ground(case).scene, case.planar)
-
-
-def random_scene(rng: np.random.Generator) -> PlanarProblem:
-    """Four circles between the entry and a target at a depth of 95 mm."""
-    bodies = tuple(
-        Sphere(np.array([0.0, rng.uniform(-30, 30), rng.uniform(25, 70)]), float(rng.uniform(4, 11)), "circle") for _ in range(4)
-    )
-    target = np.array([rng.uniform(-15, 15), 95.0])
-    return PlanarProblem(np.zeros(2), target, Scene(bodies), PlanarSettings(safety=1.5))
+HUO = "Huo et al. 2015"
 
 
 def needle3d(*, quick: bool = False, notify: Notify = silent) -> list[Row]:

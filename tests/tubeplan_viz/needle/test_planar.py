@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from segmentation.errors import CaseError
-from tubeplan_viz.bench.needle_grid import shorter_path
+from tubeplan_viz.bench.needle_grid import shortest_path
 from tubeplan_viz.needle.bodies import Polygon, Sphere
 from tubeplan_viz.needle.kinematics import push
 from tubeplan_viz.needle.obstacles import Scene
@@ -117,7 +117,7 @@ def test_no_form_of_four_pieces_has_a_shorter_path_that_brute_force_finds() -> N
     scene = Scene(tuple(circle(rng.uniform(-30, 30), rng.uniform(25, 70), rng.uniform(4, 11)) for _ in range(4)))
     case = problem(scene, (float(rng.uniform(-15, 15)), 95.0), safety=1.5)
     for path in plan_planar(case):
-        shorter = shorter_path(case, path.form, path.length, np.random.default_rng(3))
+        shorter = shortest_path(case, path.form, path.length, np.random.default_rng(3))
         assert np.isinf(shorter) or (path.feasible and path.length <= shorter * 1.001)
 
 
@@ -126,7 +126,7 @@ def test_brute_force_finds_a_path_that_is_not_the_shortest() -> None:
     case = problem(PRINTED, (0.0, 90.0))
     for path in plan_planar(case):
         if path.degree == 4:
-            assert shorter_path(case, path.form, 1.005 * path.length, np.random.default_rng(0)) < 1.003 * path.length
+            assert shortest_path(case, path.form, 1.005 * path.length, np.random.default_rng(0)) < 1.003 * path.length
 
 
 @given(st.floats(0.0, 2.0 * np.pi), st.integers(0, 3))
