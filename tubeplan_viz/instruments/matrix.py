@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from queue import SimpleQueue
 
 import numpy as np
 
@@ -20,6 +22,8 @@ from tubeplan_viz.instruments.reach import Cell, Reach, ReachSettings, Target, V
 
 # Fewer targets are done in this process sooner than another one starts.
 FEW_TARGETS = 4
+# All instruments for one target, and the paths found.
+Column = tuple[tuple[Cell, ...], tuple[Witness, ...]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,7 +84,7 @@ def instrument_matrix(
     instruments : sequence of Instrument
     settings : ReachSettings
     jobs : int
-        Processes; their number changes nothing but the time.
+        Processes, this one among them; their number changes nothing but the time.
     progress : callable, optional
         Called with the number of targets done and of all.
 
@@ -93,27 +97,20 @@ def instrument_matrix(
         raise CaseError(
             f"the matrix has {len(instruments)} instruments and {len(targets)} targets; expected at least one of each"
         )
-    done: dict[int, tuple[tuple[Cell, ...], tuple[Witness, ...]]] = {}
+    # Long ways first, so that no process is left with one at the end.
+    order = sorted(range(len(targets)), key=lambda k: -way_length(targets[k]))
+    done: dict[int, Column] = {}
+
+    def finished(k: int, found: Column) -> None:
+        done[k] = found
+        if progress is not None:
+            progress(len(done), len(targets))
+
     if jobs < 2 or len(targets) <= FEW_TARGETS:
-        for k, target in enumerate(targets):
-            done[k] = column(wall, start, target, instruments, settings)
-            if progress is not None:
-                progress(len(done), len(targets))
+        for k in order:
+            finished(k, column(wall, start, targets[k], instruments, settings))
     else:
-        # Not forked: the caller's threads (progress bars, linear algebra) would not survive it.
-        with ProcessPoolExecutor(
-            max_workers=min(jobs, len(targets)),
-            mp_context=get_context("spawn"),
-            initializer=prepare_worker,
-            initargs=(wall.surface, wall.closed_ends, np.asarray(start), tuple(instruments), settings),
-        ) as pool:
-            # Long ways first, so that no process is left with one at the end.
-            order = sorted(range(len(targets)), key=lambda k: -way_length(targets[k]))
-            waiting = {pool.submit(column_in_worker, targets[k]): k for k in order}
-            for future in as_completed(waiting):
-                done[waiting[future]] = future.result()
-                if progress is not None:
-                    progress(len(done), len(targets))
+        share_targets(wall, start, targets, instruments, settings, order=order, helpers=jobs - 1, finished=finished)
     columns = [done[k][0] for k in range(len(targets))]
     return Matrix(
         instruments=tuple(instruments),
@@ -123,6 +120,56 @@ def instrument_matrix(
     )
 
 
+def share_targets(
+    wall: WallDistance,
+    start: FloatArray,
+    targets: Sequence[Target],
+    instruments: Sequence[Instrument],
+    settings: ReachSettings,
+    *,
+    order: Sequence[int],
+    helpers: int,
+    finished: Callable[[int, Column], None],
+) -> None:
+    """Judge the targets in this process and some more, each taking the next one when it is free."""
+    waiting, found = deque(order), SimpleQueue[tuple[int, Column]]()
+    # Not forked: the caller's threads (progress bars, linear algebra) would not survive it.
+    with (
+        ProcessPoolExecutor(
+            max_workers=helpers,
+            mp_context=get_context("spawn"),
+            initializer=prepare_worker,
+            initargs=(wall.surface, wall.closed_ends, np.asarray(start), tuple(instruments), settings),
+        ) as pool,
+        ThreadPoolExecutor(max_workers=helpers) as feeders,
+    ):
+
+        def feed() -> None:
+            while (k := taken(waiting)) is not None:
+                found.put((k, pool.submit(column_in_worker, targets[k]).result()))
+
+        fed = [feeders.submit(feed) for _ in range(helpers)]
+        try:
+            while (k := taken(waiting)) is not None:
+                finished(k, column(wall, start, targets[k], instruments, settings))
+                while not found.empty():
+                    finished(*found.get())
+        finally:
+            waiting.clear()  # after a fault or an interrupt nothing more is begun
+        for one in fed:
+            one.result()
+    while not found.empty():
+        finished(*found.get())
+
+
+def taken(waiting: deque[int]) -> int | None:
+    """The next number; None when all are taken. Safe between threads."""
+    try:
+        return waiting.popleft()
+    except IndexError:
+        return None
+
+
 def way_length(target: Target) -> float:
     """Length of a target's centerline, mm; 0 without one."""
     return 0.0 if target.centerline is None else float(target.centerline.arc_length[-1])
@@ -130,7 +177,7 @@ def way_length(target: Target) -> float:
 
 def column(
     wall: WallDistance, start: FloatArray, target: Target, instruments: Sequence[Instrument], settings: ReachSettings
-) -> tuple[tuple[Cell, ...], tuple[Witness, ...]]:
+) -> Column:
     """All instruments for one target, and the paths found."""
     reach = Reach(wall, start, target, instruments, settings)
     return reach.cells(), tuple(reach.witnesses)
@@ -147,7 +194,7 @@ def prepare_worker(
     _bench[:] = [(WallDistance(surface, closed_ends=closed_ends), start, instruments, settings)]
 
 
-def column_in_worker(target: Target) -> tuple[tuple[Cell, ...], tuple[Witness, ...]]:
+def column_in_worker(target: Target) -> Column:
     """`column` on what the worker holds."""
     wall, start, instruments, settings = _bench[0]
     return column(wall, start, target, instruments, settings)
