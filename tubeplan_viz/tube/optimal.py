@@ -17,7 +17,7 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.geometry import SplineCurve, clearance_lower_bound
 from tubeplan_viz.tube.passage import OBJECTIVES, OptimalSettings, Passage, Proposal, passage_of
-from tubeplan_viz.tube.samples import Grid, State, evened, first_spline, warm_start
+from tubeplan_viz.tube.samples import Grid, State, evened, first_spline, turn_ends, warm_start
 from tubeplan_viz.tube.socp import MEAN_SHARE, Aim, Basis, StepProblem, wall_rows
 
 __all__ = ["CLEARANCE_TOLERANCE", "OBJECTIVES", "OptimalSettings", "Passage", "Proposal", "optimise", "passage_of"]
@@ -30,7 +30,7 @@ CURVATURE_AIM = 0.9998
 CLEARANCE_TOLERANCE = 0.002
 PROOF_SHARE = 0.003
 # Share of the largest least clearance that an answer of the second phase must be proved to keep.
-KEPT = 0.996
+KEPT = 0.998
 # Share of the clearance that a control point may move in one round: under 1 / sqrt(3), so that no wall is passed.
 TRUST_MAX = 0.5
 REFUSALS = 4
@@ -71,11 +71,15 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
     assert first.clearance is not None
     if first.curvature > limits.curvature_max:
         return
-    floor, slack = first.clearance.bound * settings.keep, tolerance_of(state)
-    if settings.objective == "clearance":
-        floor = max(floor, min(first.clearance.bound, limits.clearance_min + slack))
+    proved, slack = first.clearance.bound, tolerance_of(state)
+    floor = needed = limits.clearance_min
+    # A limit that is out of reach is no reason to hold on to the last digit.
+    if settings.objective == "clearance" or proved < limits.clearance_min:
+        floor, needed = settings.keep * proved, KEPT * proved
+        if proved >= limits.clearance_min:
+            floor, needed = max(floor, min(proved, limits.clearance_min + slack)), max(needed, limits.clearance_min)
     else:
-        floor = min(first.clearance.bound, limits.clearance_min + slack)
+        floor = min(proved, floor + slack)
     aim = replace(aim, floor=np.minimum(floor + 0.5 * slack, state.rows.clearance))
     span = interior(grid, state, ends)
     if settings.objective == "clearance" and first.least > 0.99 * ceiling and span != (0.0, 1.0):
@@ -86,20 +90,20 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
         inside = replace(aim, span=span).inside(grid.clearance_u)
         kept = np.where(inside, settings.keep * state.rows.clearance[inside].min(), floor + 0.5 * slack)
         aim = replace(aim, floor=np.minimum(np.maximum(kept, floor + 0.5 * slack), state.rows.clearance))
-    needed = min(first.clearance.bound, limits.clearance_min)
-    if settings.objective == "clearance":
-        needed = max(KEPT * first.clearance.bound, needed)
     aim = replace(aim, goal=SECOND_AIM[settings.objective])
+    if aim.goal == "curvature":
+        # The programme sees |F''| / |F'|^2, which is the curvature at even speed alone.
+        state = grid.measure(turn_ends(evened(grid, state), settings), limits.curvature_max)
     for _ in range(ATTEMPTS):
         for reached in run_phase(passage, grid, state, aim, fixed, settings):
             yield reached[2]
-        shown = reached[2]
+        before, (grid, state, shown) = grid, reached
         assert shown.clearance is not None
         if shown.clearance.bound >= needed and shown.curvature <= limits.curvature_max:
             return
         # The samples hold the floor, the wall between them does not: hold a higher one.
-        higher = aim.floor + max(needed - shown.clearance.bound, 0.0) + slack
-        aim = replace(aim, floor=np.minimum(higher, state.rows.clearance))
+        aim = aim.on(before.clearance_u, grid.clearance_u)
+        aim = replace(aim, floor=np.asarray(aim.floor + max(needed - shown.clearance.bound, 0.0) + slack))
     yield replace(first, decisions=("the second phase could not be proved: the path of the first stands",))
 
 
@@ -133,8 +137,8 @@ def run_phase(
     """
     limit = passage.limits.curvature_max
     for attempt in range(ATTEMPTS):
-        for reached, note in rounds(grid, state, aim, limit, fixed, settings):
-            state = reached
+        for reached in rounds(grid, state, aim, limit, fixed, settings):
+            grid, state, aim, note = reached
             yield grid, state, proposal(grid, state, aim.goal, (note,))
             if state.least > CEILING_SHARE * ceiling and state.curvature <= limit:
                 break
@@ -145,8 +149,7 @@ def run_phase(
         if sharp and state.curvature < 1.02 * limit:
             aim = replace(aim, curvature=aim.curvature * limit / state.curvature * CURVATURE_AIM)
         finer = grid.with_samples(missed)
-        floor = np.interp(finer.clearance_u, grid.clearance_u, np.broadcast_to(aim.floor, grid.clearance_u.shape))
-        grid, aim = finer, replace(aim, floor=floor)
+        grid, aim = finer, aim.on(grid.clearance_u, finer.clearance_u)
         control = state.control if not sharp or any(fixed) else evened(grid, state)
         state = grid.measure(control, limit)
     proved = clearance_lower_bound(grid.curve(state.control), passage.wall, tolerance=tolerance_of(state))
@@ -169,15 +172,15 @@ def missed_places(grid: Grid, state: State, aim: Aim) -> FloatArray:
     lowest = (
         (clearance <= padded[:-2])
         & (clearance <= padded[2:])
-        & (clearance < state.rows.clearance[aim.inside(grid.clearance_u)].min() - CLEARANCE_TOLERANCE)
+        & (clearance < state.rows.clearance[aim.inside(grid.clearance_u)].min() - tolerance_of(state))
     )
     return np.asarray(u[lowest & aim.inside(u)])
 
 
 def rounds(
     grid: Grid, state: State, aim: Aim, limit: float, fixed: tuple[bool, bool], settings: OptimalSettings
-) -> Iterator[tuple[State, str]]:
-    """Accepted steps of one phase, each with what it did in words."""
+) -> Iterator[tuple[Grid, State, Aim, str]]:
+    """Accepted steps of one phase, each with the samples it is seen at, the aim there, and what it did in words."""
     scale = max(float(np.median(state.rows.clearance)), 1e-3)
     penalty = 20.0 * scale
     enough = settings.tolerance * scale * (1.0 if first_phase(aim) else MEAN_COARSER)
@@ -201,7 +204,12 @@ def rounds(
                 note += f"; {refused} longer steps refused"
             state, refused = after, 0
             idle = idle + 1 if gain < enough else 0
-            yield state, note
+            missing = grid.stretched(state)
+            if len(missing):
+                finer = grid.with_samples(missing)
+                grid, aim = finer, aim.on(grid.clearance_u, finer.clearance_u)
+                state = grid.measure(state.control, limit)
+            yield grid, state, aim, note
         else:
             refused += 1
             if found is not None:

@@ -7,6 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline
+from scipy.linalg import solveh_banded
+from scipy.sparse import csr_matrix
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.geometry import SplineCurve, WallDistance, curvature_upper_bound
@@ -15,6 +17,10 @@ from tubeplan_viz.tube.passage import OptimalSettings, Passage
 from tubeplan_viz.tube.socp import Basis, WallRows, wall_rows
 
 CURVATURE_SAMPLES = 4
+# Distance of samples as a share of the least clearance, and of the excess over it; a share of 2 of the excess misses nothing.
+SHARE, SPARSE = 0.3, 0.8
+# Gaps between samples are halved when they have come to be this many times as long as they may be.
+STRETCHED = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +78,13 @@ class Grid:
         """Whether all samples but the ends, which may lie on caps, are in the lumen."""
         return bool(self.wall.inside(self.clearance_basis.curve(control)[1:-1]).all())
 
+    def stretched(self, state: State) -> FloatArray:
+        """Middles of the gaps between samples that have become too long for the clearances of a state."""
+        allowed = widest_gap(state.rows.clearance)
+        gap = np.linalg.norm(np.diff(self.clearance_basis.curve(state.control), axis=0), axis=1)
+        long = gap > STRETCHED * np.minimum(allowed[:-1], allowed[1:])
+        return np.asarray(0.5 * (self.clearance_u[:-1] + self.clearance_u[1:])[long])
+
     def with_samples(self, u: FloatArray) -> Grid:
         """The same with more samples for the clearance."""
         return Grid(self.knots, np.union1d(self.clearance_u, u), self.wall)
@@ -114,13 +127,18 @@ def first_spline(passage: Passage, settings: OptimalSettings) -> tuple[Grid, Flo
 
 def fit(basis: Basis, target: FloatArray, ends: FloatArray, count: int, smoothing: float) -> FloatArray:
     """Least-squares control points through fixed ends, with a cost on their third differences."""
-    matrix = np.zeros((len(target), count))
-    np.put_along_axis(matrix, basis.first[:, None] + np.arange(4), basis.values[0], axis=1)
-    rough = np.sqrt(smoothing) * np.diff(np.eye(count), n=3, axis=0)
-    whole = np.concatenate([matrix, rough])
-    right = np.concatenate([target, np.zeros((len(rough), 3))]) - whole[:, [0, -1]] @ ends
-    inner = np.linalg.lstsq(whole[:, 1:-1], right, rcond=None)[0]
-    return np.concatenate([ends[:1], inner, ends[1:]])
+    samples = len(target)
+    first = np.concatenate([basis.first, np.arange(count - 3)])
+    values = np.concatenate([basis.values[0], np.tile(np.sqrt(smoothing) * np.array([-1.0, 3.0, -3.0, 1.0]), (count - 3, 1))])
+    rows = np.repeat(np.arange(samples + count - 3), 4)
+    matrix = csr_matrix((values.ravel(), (rows, (first[:, None] + np.arange(4)).ravel())))
+    right = matrix.T @ (np.concatenate([target, np.zeros((count - 3, 3))]) - matrix[:, [0, count - 1]] @ ends)
+    # Four control points act on a row, so the normal equations have three diagonals above the main one.
+    normal = (matrix.T @ matrix)[1:-1, 1:-1]
+    bands = np.zeros((4, count - 2))
+    for k in range(4):
+        bands[3 - k, k:] = normal.diagonal(k)
+    return np.concatenate([ends[:1], solveh_banded(bands, right[1:-1]), ends[1:]])
 
 
 def turn_ends(control: FloatArray, settings: OptimalSettings) -> FloatArray:
@@ -134,9 +152,9 @@ def turn_ends(control: FloatArray, settings: OptimalSettings) -> FloatArray:
 
 
 def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
-    """Parameters whose distance along the path is at most 0.3 times the clearance there, and 1 mm."""
+    """Parameters of a path as far apart as `widest_gap` allows."""
     u = curve.uniform_parameters(0.25)
-    spacing = np.clip(0.3 * wall.distance(curve(u)), 0.05, 1.0)
+    spacing = widest_gap(wall.distance(curve(u)))
     s = curve.arc_length(u)
     # As many samples as the integral of their density.
     density = np.concatenate([[0.0], np.cumsum(np.diff(s) / np.minimum(spacing[1:], spacing[:-1]))])
@@ -144,6 +162,16 @@ def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
     picked = np.interp(np.linspace(0.0, density[-1], count + 1), density, u)
     picked[0], picked[-1] = 0.0, 1.0
     return np.unique(picked)
+
+
+def widest_gap(clearance: FloatArray) -> FloatArray:
+    """How far apart in mm samples with these clearances may lie.
+
+    The clearance is 1-Lipschitz: between two samples it falls short of what both keep by no more than half their
+    distance. Where it is large the least clearance cannot be missed, and few samples do.
+    """
+    least = float(clearance.min())
+    return np.clip(SHARE * least + SPARSE * (clearance - least), 0.05, 1.0)
 
 
 def warm_start(passage: Passage, warm: SplineCurve) -> tuple[Grid, FloatArray]:

@@ -117,12 +117,14 @@ def contour_distances(corners: FloatArray, normals: FloatArray, owner: IntArray)
     """
     least = np.full(len(normals), np.inf)
     side = np.einsum("kij,kj->ki", corners, normals[owner])  # (k, 3)
-    crossing = (side.min(axis=1) < 0) & (side.max(axis=1) >= 0)
-    corners, side, owner = corners[crossing], side[crossing], owner[crossing]
+    above = side >= 0
+    # Column by column: numpy's reductions along an axis of three take ten times as long.
+    first, second, third = above.T
+    crossing = (first | second | third) & ~(first & second & third)
+    corners, side, above, owner = corners[crossing], side[crossing], above[crossing], owner[crossing]
     if not len(owner):
         return least
     # Bring the corner that is alone on its side to the front: two edges leave from it.
-    above = side >= 0
     alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
     rows = np.arange(len(corners))
     apex, apex_side = corners[rows, alone], side[rows, alone]

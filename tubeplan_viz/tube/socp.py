@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import clarabel
@@ -86,6 +86,30 @@ class WallRows:
     clearance: FloatArray
     faces: IntArray
 
+    def telling(self, share: float) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Sample, normal and distance of the planes that can be the nearest one while no sample moves by more than `share`
+        of its clearance.
+
+        Plane i lies beyond plane j on the whole ball of radius r when its distance is the larger one by r |n_i - n_j|.
+        """
+        near = np.flatnonzero(self.distance <= self.clearance[self.sample] * (1.0 + 2.0 * share))
+        near = near[np.lexsort((self.distance[near], self.sample[near]))]
+        sample, normal, distance = self.sample[near], self.normal[near], self.distance[near]
+        count = np.bincount(sample, minlength=len(self.clearance))
+        place = np.arange(len(sample)) - (np.cumsum(count) - count)[sample]
+        table = np.full((len(count), int(count.max())), np.inf)
+        table[sample, place] = distance
+        normals = np.zeros((*table.shape, 3))
+        normals[sample, place] = normal
+        beyond = np.zeros(len(sample), dtype=bool)
+        # The planes of a sample stand in the order of their distances: one is hidden by nearer ones alone.
+        for j in range(table.shape[1] - 1):
+            later = place > j
+            apart = np.linalg.norm(normal[later] - normals[sample[later], j], axis=1)
+            reach = share * self.clearance[sample[later]]
+            beyond[later] |= distance[later] - table[sample[later], j] >= reach * apart
+        return sample[~beyond], normal[~beyond], distance[~beyond]
+
 
 def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance, known: IntArray | None = None) -> WallRows:
     """The nearest faces of each point, those in `DIRECTIONS` directions across the path, and the `known` (m, k) ones.
@@ -140,7 +164,7 @@ class Aim:
     curvature : float, 1/mm
         Limit on the curvature; for "curvature" only the unit it is measured in.
     floor : (m,) float array or 0, mm
-        Clearance that each sample is to keep; one that is under it may not lose more.
+        Clearance that each sample is to keep, or to come back to.
     span : (first, last) parameter
         Stretch whose least clearance is raised; elsewhere the floor alone counts.
     """
@@ -153,6 +177,10 @@ class Aim:
     def inside(self, u: FloatArray) -> BoolArray:
         """Which parameters lie in the span."""
         return np.asarray((u >= self.span[0]) & (u <= self.span[1]))
+
+    def on(self, before: FloatArray, after: FloatArray) -> Aim:
+        """The same aim with its floor at other samples."""
+        return replace(self, floor=np.interp(after, before, np.broadcast_to(self.floor, before.shape)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +268,11 @@ class StepProblem:
     ) -> tuple[csc_matrix, FloatArray, float]:
         """Quadratic and linear cost, and what the cost lacks of `optimal.merit`.
 
-        The least clearance t is held at zero from above, and by its cost from below, where it is not the goal.
+        Where the least clearance is not the goal, its column is what the clearances lack of their floors, negative.
         """
         cost = np.zeros(width)
         cost[excess] = penalty
-        cost[least] = -1e-3
+        cost[least] = -penalty
         empty = csc_matrix((width, width))
         if aim.goal == "least":
             cost[least] = -1.0
@@ -297,25 +325,29 @@ class StepProblem:
 
     def _wall_block(self, unknowns: int, trust: float) -> _Block:
         """s_i <= distance to each tangent plane of the wall: s_i - n . dF_i <= d."""
-        rows = self.rows
-        # A face that stays farther than the nearest one however the path moves in its boxes says nothing.
-        near = rows.distance <= rows.clearance[rows.sample] * (1.0 + 2.0 * np.sqrt(3.0) * trust)
-        sample, normal, distance = rows.sample[near], rows.normal[near], rows.distance[near]
+        sample, normal, distance = self.rows.telling(np.sqrt(3.0) * trust)
         row = np.arange(len(sample))
         r, c, v = self._moves(row, sample, self.clearance_basis, [(0, -normal)])
         return np.concatenate([r, row]), np.concatenate([c, unknowns + sample]), np.concatenate([v, np.ones(len(row))]), distance
 
     def _floor_block(self, aim: Aim, unknowns: int, least: int) -> _Block:
-        """s_i >= its floor; and s_i >= t in the span of the least clearance, or t <= 0 where that is not the goal."""
+        """Where the least clearance t is the goal, s_i >= t in its span, and no s_i falls under its floor, or farther under it.
+        Elsewhere s_i >= its floor + t with t <= 0: what is under its floor rises.
+        """
         clearance = self.rows.clearance
         m = len(clearance)
-        floor = -np.minimum(aim.floor, clearance)
-        counted = np.flatnonzero(aim.inside(self.clearance_u)) if aim.goal == "least" else np.empty(0, dtype=np.int64)
-        k = max(len(counted), 1)
-        rows = np.concatenate([np.arange(m), m + np.arange(len(counted)), m + np.arange(k)])
-        columns = np.concatenate([unknowns + np.arange(m), unknowns + counted, np.full(k, least)])
-        values = np.concatenate([-np.ones(m + len(counted)), np.ones(k)])
-        return rows, columns, values, np.concatenate([floor, np.zeros(k)])
+        every = np.arange(m)
+        if aim.goal != "least":
+            rows = np.concatenate([every, every, [m]])
+            columns = np.concatenate([unknowns + every, np.full(m + 1, least)])
+            values = np.concatenate([-np.ones(m), np.ones(m + 1)])
+            return rows, columns, values, np.append(-np.broadcast_to(aim.floor, m), 0.0)
+        counted = np.flatnonzero(aim.inside(self.clearance_u))
+        k = len(counted)
+        rows = np.concatenate([every, m + np.arange(k), m + np.arange(k)])
+        columns = np.concatenate([unknowns + every, unknowns + counted, np.full(k, least)])
+        values = np.concatenate([-np.ones(m + k), np.ones(k)])
+        return rows, columns, values, np.concatenate([-np.minimum(aim.floor, clearance), np.zeros(k)])
 
     def _speed_block(self) -> _Block:
         """T . F' stays above a share of the mean speed: no cusp, no turning back."""
@@ -395,8 +427,8 @@ def solver_settings() -> clarabel.DefaultSettings:
     """Clarabel, silent, to the precision that a step needs, on one thread so that results repeat."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = 1e-5
-    settings.tol_feas = 1e-6
+    settings.tol_gap_abs = settings.tol_gap_rel = 1e-4
+    settings.tol_feas = 1e-5
     settings.max_iter = 60
     # A step is measured before it is taken, so that the last digits of each linear solve are not worth a third of the time.
     settings.iterative_refinement_enable = False
