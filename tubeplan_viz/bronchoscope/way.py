@@ -17,6 +17,7 @@ from tubeplan_viz.bronchoscope.mover import Mover
 from tubeplan_viz.bronchoscope.planner import Node, PlannerSettings, RobotPlan, plan_segmented
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.route import Stage, make_stages
+from tubeplan_viz.bronchoscope.sequence import plan_at_once
 from tubeplan_viz.bronchoscope.target import Target
 from tubeplan_viz.centerline import Centerline, even_points
 
@@ -24,8 +25,10 @@ from tubeplan_viz.centerline import Centerline, even_points
 LEAK = 0.3
 # So far a soft contact lets the disc's rim into the wall that it brushes, mm.
 BRUSH = 0.05
-# Body clearance asked of the kinematic plan before a dynamic one, mm, and the samples it is tried for.
-ROOMY, ROOMY_SAMPLES = 0.2, 40
+# Body clearance asked of the kinematic plan before a dynamic one, mm.
+ROOMY = 0.2
+# Samples before all commands are laid at once.
+FIRST_SAMPLES = 30
 # Over the last millimetres the guide leaves the middle for a target beside it.
 LAST_BEND = 8.0
 
@@ -88,14 +91,18 @@ def plan_way(
     mover = KinematicMover(airway.wall, robot, entrance.pose)
     stages = stages_on(airway, entrance, target, guide, robot)
 
+    seen = watch if simulator is None else None
+
     def foreplan(margin: float, samples: int) -> RobotPlan:
-        asked = replace(settings, body_margin=margin, samples_max=samples)
-        seen = watch if simulator is None else None
+        asked = replace(settings, body_margin=margin, samples_max=min(samples, settings.samples_max))
         return plan_segmented(mover, robot, guide, stages, asked, wall=airway.wall, rng=rng, watch=seen)
 
-    # What is to guide a robot with weight keeps more room where it can.
-    first = foreplan(ROOMY, ROOMY_SAMPLES) if simulator is not None else foreplan(settings.body_margin, settings.samples_max)
-    if simulator is not None and not first.reached:
+    # What is to guide a robot with weight keeps more room where it can. Where few samples find nothing, the bends are too
+    # tight to be taken one by one; the many samples that are allowed are the last resort.
+    first = foreplan(settings.body_margin if simulator is None else ROOMY, FIRST_SAMPLES)
+    if not first.reached:
+        first = plan_at_once(first, mover, robot, guide, settings, wall=airway.wall, watch=seen)
+    if not first.reached and settings.samples_max > FIRST_SAMPLES:
         first = foreplan(settings.body_margin, settings.samples_max)
     route = airway.route_to(target.branch)
     if simulator is None:
