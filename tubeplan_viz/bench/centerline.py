@@ -16,10 +16,11 @@ from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
-from segmentation.mesh_files import write_ply
+from segmentation.mesh_files import read_surface, write_ply
 from tubeplan_viz.bench import centerline_methods
 from tubeplan_viz.bench.centerline_methods import METHODS, NEEDS
-from tubeplan_viz.bench.models import Model, bent_cylinder_1
+from tubeplan_viz.bench.curvature import curvature_rows
+from tubeplan_viz.bench.models import Meshing, Model, bent_cylinder_1
 from tubeplan_viz.bench.peers import SCRIPT as VMTK_SCRIPT
 from tubeplan_viz.bench.peers import VMTK_RUNS_ON, vmtk_python
 from tubeplan_viz.bench.rows import Row
@@ -39,6 +40,8 @@ JUNCTION_RADII = 2.5
 # A slow peer is not worth more.
 TIME_LIMIT = 600.0
 PEAK_MEMORY = 400.0
+# An open mesh and its capped version may differ by so much, mm, at places evenly along the line.
+OPEN_APART, EVEN = 0.05, 500
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,7 +69,7 @@ class Trial:
 
 
 def centerline(*, quick: bool, notify: Notify) -> list[Row]:
-    """Error, time and memory of every method on cylinder 1, a renal tree and an airway.
+    """Error, time and memory of every method on cylinder 1, a renal tree and an airway; open meshes; curvature at scale.
 
     Parameters
     ----------
@@ -84,7 +87,12 @@ def centerline(*, quick: bool, notify: Notify) -> list[Row]:
     for kind in ("structured", "marching_cubes"):
         notify(kind, 0, 0)
         rows += radius_rows(f"cylinder 1, {kind.replace('_', ' ')}", bent_cylinder_1(meshing=kind))
-    return rows
+    notify("open and capped", 0, 0)
+    meshings: tuple[Meshing, ...] = ("swept", "structured")
+    for kind in meshings:
+        rows.append(open_row(f"cylinder 1, {kind}", bent_cylinder_1(meshing=kind)))
+    notify("curvature at scale", 0, 0)
+    return [*rows, *curvature_rows()]
 
 
 def trials(*, quick: bool) -> list[Trial]:
@@ -213,6 +221,29 @@ def radius_rows(case: str, model: Model) -> list[Row]:
         under(case, "radius error mm, mean", float(np.abs(line.radii[interior] - clearance).mean()), 0.02),
         Row(case=case, figure="axis covered %", ours=covered, target="100 ± 0.5", holds=abs(covered - 100.0) < 0.5),
     ]
+
+
+def open_row(name: str, model: Model) -> Row:
+    """How far the line of a tube moves when its caps are left out of the file and made anew on reading."""
+    surface = model.surface
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "open.obj"
+        corners = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in surface.vertices]
+        file.write_text("\n".join(corners + [f"f {a} {b} {c}" for a, b, c in surface.wall_faces + 1]), encoding="ascii")
+        closed = read_surface(file, mesh_unit="mm").surface
+    # A micrometre before the caps: rounding may put the middle of one version's cap outside the other.
+    ends = [
+        cap.center - 1e-3 * cap.normal for cap in sorted(closed.caps, key=lambda cap: np.linalg.norm(cap.center - model.start))
+    ]
+    lines = []
+    for one in (surface, closed):
+        wall = WallDistance(one)
+        line = trace_centerline(voronoi_graph(one, wall), wall, ends[0], ends[-1])
+        assert line is not None
+        s = np.linspace(0.0, line.arc_length[-1], EVEN)
+        lines.append(np.column_stack([np.interp(s, line.arc_length, line.points[:, k]) for k in range(3)]))
+    off = float(np.linalg.norm(lines[0] - lines[1], axis=1).max())
+    return under(name, "lines of the open and of the capped mesh apart mm, largest", off, OPEN_APART)
 
 
 def off_axis(points: FloatArray, model: Model) -> tuple[FloatArray, FloatArray]:

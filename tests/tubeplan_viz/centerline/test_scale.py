@@ -4,39 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from segmentation.arrays import FloatArray
 from segmentation.errors import GeometryError
-from tubeplan_viz.bench.axes import Axis
+from tubeplan_viz.bench.curvature import NOISE, axis_of, bent_axes, drawn, scanned
 from tubeplan_viz.centerline import ScaleSettings, curvature_at_scale
 from tubeplan_viz.centerline.scale import fit_arcs
-
-# Standard deviation and correlation length of a centerline's error in mm: a wall segmented
-# from voxels of 0.7 mm is off by 0.1 to 0.2 mm, and the middle averages over a dozen places around it.
-NOISE, CORRELATION = 0.05, 0.8
-
-
-def axis_of(*pieces: tuple[float, float, float]) -> Axis:
-    return Axis(pieces, np.zeros(3), np.eye(3))
-
-
-def noisy(axis: Axis, rng: np.random.Generator) -> FloatArray:
-    s = np.arange(0.0, axis.length, 0.5)
-    noise = gaussian_filter1d(rng.normal(0.0, 1.0, (len(s), 3)), CORRELATION / 0.5, axis=0)
-    return np.asarray(axis.at(s)[0] + NOISE * noise / noise.std())
-
-
-def lines() -> list[tuple[Axis, float]]:
-    """Arcs, helices and double bends with their least radius."""
-    arcs = [(axis_of((min(1.6 * r, 90.0), 1.0 / r, 0.0)), r) for r in (5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 70.0, 100.0)]
-    helices = [(axis_of((80.0, 1.0 / r, t)), r) for r, t in ((8.0, 0.03), (16.0, 0.03), (30.0, 0.02), (60.0, 0.01))]
-    bends = [
-        (axis_of((0.5 * np.pi * r, 1.0 / r, 0.0), (0.65 * np.pi * r, -1.0 / (1.3 * r), 0.0)), r)
-        for r in (6.0, 8.0, 12.0, 20.0, 40.0)
-    ]
-    return [*arcs, *helices, *bends]
 
 
 @pytest.mark.parametrize("radius", [5.0, 12.0, 40.0, 100.0])
@@ -50,9 +23,9 @@ def test_an_exact_arc_reads_its_radius(radius: float) -> None:
 def test_least_radius_under_noise_is_within_the_stated_error() -> None:
     rng = np.random.default_rng(11)
     errors, held = [], []
-    for axis, radius in lines():
+    for axis, radius in bent_axes():
         for _ in range(5):
-            found = curvature_at_scale(noisy(axis, rng))
+            found = curvature_at_scale(drawn(axis, rng))
             low, high = found.least_radius_interval
             errors.append(abs(found.least_radius / radius - 1.0))
             held.append(low <= radius <= high)
@@ -67,24 +40,37 @@ def test_a_straight_line_under_noise_reads_straight() -> None:
     rng = np.random.default_rng(12)
     for length in (40.0, 80.0, 150.0):
         for _ in range(4):
-            found = curvature_at_scale(noisy(axis_of((length, 0.0, 0.0)), rng))
+            found = curvature_at_scale(drawn(axis_of((length, 0.0, 0.0)), rng))
             # Must show: over 500 mm.
             assert found.least_radius > 500.0
 
 
+@pytest.mark.parametrize("radius", [5.0, 15.0, 50.0])
+def test_a_scanned_tube_reads_its_bend_radius(radius: float) -> None:
+    axis = axis_of((min(1.6 * radius, 60.0), 1.0 / radius, 0.0))
+    points = scanned(axis, min(2.5, 0.4 * radius), np.random.default_rng(17))
+    # Must show: 10 % at the 95th percentile; measured on eighteen tubes: 2.1 %.
+    assert curvature_at_scale(points).least_radius == pytest.approx(radius, rel=0.05)
+
+
+def test_a_scanned_straight_tube_reads_straight() -> None:
+    points = scanned(axis_of((60.0, 0.0, 0.0)), 2.5, np.random.default_rng(18))
+    assert curvature_at_scale(points).least_radius > 500.0
+
+
 def test_long_bends_are_read_at_longer_scales_than_short_ones() -> None:
     rng = np.random.default_rng(13)
-    scale = [float(np.median(curvature_at_scale(noisy(axis_of((1.5 * r, 1.0 / r, 0.0)), rng)).scale)) for r in (8.0, 20.0, 50.0)]
+    scale = [float(np.median(curvature_at_scale(drawn(axis_of((1.5 * r, 1.0 / r, 0.0)), rng)).scale)) for r in (8.0, 20.0, 50.0)]
     assert scale[0] < scale[1] < scale[2]
 
 
 def test_noise_is_read_off_the_line() -> None:
-    found = curvature_at_scale(noisy(axis_of((120.0, 1.0 / 60.0, 0.0)), np.random.default_rng(14)))
+    found = curvature_at_scale(drawn(axis_of((120.0, 1.0 / 60.0, 0.0)), np.random.default_rng(14)))
     assert found.noise == pytest.approx(NOISE, rel=0.35)
 
 
 def test_curvature_stays_under_a_rigid_motion_and_falls_under_scaling() -> None:
-    points = noisy(axis_of((20.0, 1.0 / 12.0, 0.0), (20.0, -1.0 / 15.0, 0.0)), np.random.default_rng(15))
+    points = drawn(axis_of((20.0, 1.0 / 12.0, 0.0), (20.0, -1.0 / 15.0, 0.0)), np.random.default_rng(15))
     here = curvature_at_scale(points)
     there = curvature_at_scale(Rotation.from_rotvec([0.3, 1.0, -0.4]).apply(points) + 100.0)
     np.testing.assert_allclose(there.curvature, here.curvature, atol=1e-6)
