@@ -3,7 +3,7 @@
 from tubeplan_viz.rigid.entry import BORDER, entry_border, entry_points
 from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, pose_angles, posed, swept, up_of
 from tubeplan_viz.rigid.judge import Judge
-from tubeplan_viz.rigid.planner import Problem, RigidPlan, make_problem, path_goals, plan_rigid, structure_distances
+from tubeplan_viz.rigid.planner import Problem, RigidPlan, make_problem, path_goals, plan_rigid, refined, structure_distances
 from tubeplan_viz.rigid.ranking import BEST, GOALS, Ranking, Weights, rank
 from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
 from tubeplan_viz.rigid.tangent_search import search
@@ -30,6 +30,7 @@ __all__ = [
     "pose_angles",
     "posed",
     "rank",
+    "refined",
     "search",
     "structure_distances",
     "swept",

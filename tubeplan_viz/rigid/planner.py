@@ -15,6 +15,7 @@ from tubeplan_viz.rigid.entry import BORDER, entry_border, entry_points
 from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, posed, swept, unit
 from tubeplan_viz.rigid.judge import Judge
 from tubeplan_viz.rigid.obstacles import Obstacles, build_obstacles
+from tubeplan_viz.rigid.polish import polish
 from tubeplan_viz.rigid.ranking import Ranking, Weights, rank
 from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
 from tubeplan_viz.rigid.tangent_search import search
@@ -160,7 +161,18 @@ def plan_rigid(
     paths = ranked_paths(searches[amount].paths)
     tell("goals", 0, len(paths))
     goals = path_goals(planned, paths) if paths else np.empty((0, 6))
+    if paths:
+        tell("best paths refined", 0, len(paths))
+        paths, goals = refined(planned, paths, goals, weights)
     return RigidPlan(planned, searches, paths, goals, rank(goals, weights) if paths else None, searches[amount])
+
+
+def refined(
+    problem: Problem, paths: tuple[RigidPath, ...], goals: FloatArray, weights: Weights
+) -> tuple[tuple[RigidPath, ...], FloatArray]:
+    """Paths and goals with what a local search around the best of them adds."""
+    more, found = polish(problem.judge(), problem.starts, paths, goals, weights, lambda some: path_goals(problem, some))
+    return (*paths, *more), np.vstack([goals, found])
 
 
 def ranked_paths(paths: Sequence[RigidPath]) -> tuple[RigidPath, ...]:

@@ -23,12 +23,12 @@ from tubeplan_viz.rigid.search_state import SearchSettings, State
 LEAST_LEG_MM = 5.0  # between a node and the goal
 SPREAD_MM = 3.0  # between starts that are tried first
 BESIDE_MM = 3.6  # starts so near a solved one are offered everything
-LINES = 48  # free directions offered, over all rolls
+LINES = 24  # free directions offered, over all rolls
 TURNS = tuple(np.radians([4.0, 8.0, 14.0, 22.0, 32.0, 44.0, 56.0, 68.0]).tolist())
 OFFER_BATCH = 32  # offers made at a time
-FINER = (1.0, 0.85, 1.18, 0.7, 1.4)  # of a neighbour's turn
+FINER = (1.0, 0.9, 1.1, 0.8, 1.25, 0.65, 1.5)  # of a neighbour's turn
 FAN_BESIDE = 9  # directions nearest to a neighbour's that are tried
-TRIES = 48  # places that a start is offered in one wave
+TRIES = 256  # places that a start is offered in one wave
 
 
 @dataclass(frozen=True, eq=False)
