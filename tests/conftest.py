@@ -52,6 +52,18 @@ def phantoms() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
+def numbers_shown() -> ModuleType:
+    """tests/numbers_shown.py."""
+    return _helper("numbers_shown")
+
+
+@pytest.fixture(scope="session")
+def slicer_schema() -> dict[str, Any]:
+    """The schema of tests/slicer_markups.py."""
+    return dict(_helper("slicer_markups").MARKUPS)
+
+
+@pytest.fixture(scope="session")
 def head_ct() -> Any:
     """A real head CT as a volume, see tests/head_ct.py; its face is recognisable, no picture of it may be kept."""
     helper = _helper("head_ct")

@@ -211,13 +211,13 @@ def path_entry(path: Witness) -> dict[str, Any]:
 
 
 def matrix_csv(document: Mapping[str, Any]) -> str:
-    """One line per cell, for a spreadsheet."""
+    """One line per cell, for a spreadsheet; numbers in the shortest form that reads back to the same double."""
     keys = ("verdict", "margin_mm", "margin_at_mm", "margin_of", "bend_radius_mm", "length_mm", "tip_clearance_mm", "reason")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["instrument", "outer_diameter_mm", "bend_radius_min_mm", "target", *keys])
     for one, row in zip(document["instruments"], document["cells"], strict=True):
         for goal, cell in zip(document["targets"], row, strict=True):
-            values = [f"{v:.4f}" if isinstance(v, float) else v for v in (cell[key] for key in keys)]
-            writer.writerow([one["name"], one["outer_diameter_mm"], one["bend_radius_min_mm"], goal["label"], *values])
+            figures = (one["outer_diameter_mm"], one["bend_radius_min_mm"])
+            writer.writerow([one["name"], *figures, goal["label"], *(cell[key] for key in keys)])
     return text.getvalue()

@@ -1,4 +1,4 @@
-"""Every kind of page and verdict before axe-core: no serious or critical fault, in both themes and on a phone."""
+"""Reports of tubes in every state before axe-core; test_every_run.py does the same with runs of every planner."""
 
 from __future__ import annotations
 
@@ -9,26 +9,12 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 
 from reports import render_report, write_page
-from tubeplan_viz.pipeline import RunOptions
-from tubeplan_viz.planners import make_case, run_case
 
 STATES: dict[str, dict[str, Any]] = {
     "flagged": {},
     "holds": {"clearance_min": 0.5, "curvature_max": 0.5},
     "impossible": {"infeasible": True},
     "mesh": {"ct": False},
-}
-NEEDLES: dict[str, dict[str, Any]] = {
-    "needle2d": {
-        "planner": {"name": "needle2d"},
-        "needle2d": {"target": [0, 90], "degree_max": 2},
-        "obstacles": [{"kind": "circle", "center": [0, 40], "radius_mm": 10}],
-    },
-    "needle3d": {
-        "planner": {"name": "needle3d"},
-        "needle3d": {"target": [0, 0, 100], "safety_mm": 1.0},
-        "obstacles": [{"kind": "sphere", "center": [0, 5, 40], "radius_mm": 5}],
-    },
 }
 
 
@@ -62,13 +48,6 @@ def test_reports_of_tubes_have_no_serious_fault(browser: Any, make_review: Any, 
 def test_a_report_on_a_phone_has_no_serious_fault(browser: Any, make_review: Any, tmp_path: Path) -> None:
     write_page(render_report(make_review()), tmp_path / "report.html")
     assert faults(browser, tmp_path / "report.html", width=390) == []
-
-
-@pytest.mark.parametrize("planner", NEEDLES)
-def test_reports_of_needles_have_no_serious_fault(browser: Any, tmp_path: Path, planner: str) -> None:
-    run_case(make_case(NEEDLES[planner]), tmp_path / "run", RunOptions(recording=False))
-    for theme in ("light", "dark"):
-        assert faults(browser, tmp_path / "run" / "report.html", theme=theme) == []
 
 
 def test_a_fault_would_be_found(browser: Any, tmp_path: Path) -> None:

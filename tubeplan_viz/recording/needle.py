@@ -247,12 +247,12 @@ def summary(case_id: str, result: Mapping[str, Any]) -> str:
     """The case in words, markdown."""
     metrics = result["metrics"]
     rows = [
-        ("length", metrics["length_mm"], "mm"),
-        ("tip error", metrics["tip_error_mm"], "mm"),
-        ("least clearance", metrics["clearance_min_mm"], f"mm (asked: {result['limits']['clearance_min_mm']:g})"),
-        ("insertion angle", result["details"].get("insertion_angle_deg"), "degrees"),
+        ("length", metrics["length_mm"], 2, "mm"),
+        ("tip error", metrics["tip_error_mm"], 3, "mm"),
+        ("least clearance", metrics["clearance_min_mm"], 3, f"mm (asked: {result['limits']['clearance_min_mm']:g})"),
+        ("insertion angle", result["details"].get("insertion_angle_deg"), 2, "degrees"),
     ]
-    lines = [f"| {name} | {value:.4g} {unit} |" for name, value, unit in rows if value is not None]
+    lines = [f"| {name} | {value:.{digits}f} {unit} |" for name, value, digits, unit in rows if value is not None]
     head = "The target is reached and every distance is kept" if result["status"] == "ok" else str(result["reason"])
     table = "| | |\n|--|--|\n" + "\n".join(lines) if lines else ""
     planner = f"{result['planner']['name']} ({result['planner']['method']})"

@@ -7,7 +7,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,85 +23,6 @@ from segmentation.mesh_files import read_ply
 from segmentation.mesh_parse import parse_mesh
 
 Call = Callable[..., Any]
-TRIPLE = {"type": "array", "minItems": 3, "maxItems": 3, "items": {"type": "number"}}
-COLOR = {**TRIPLE, "items": {"type": "number", "minimum": 0.0, "maximum": 1.0}}
-# The fields of 3D Slicer's markups format 1.0.3 that are written here, with the types that it names.
-MARKUPS = {
-    "type": "object",
-    "required": ["@schema", "markups"],
-    "properties": {
-        "@schema": {"type": "string", "pattern": r"markups-schema-v1\.0\.3\.json#$"},
-        "markups": {
-            "type": "array",
-            "minItems": 1,
-            "items": {
-                "type": "object",
-                "required": ["type"],
-                "additionalProperties": False,
-                "properties": {
-                    "type": {"enum": ["Fiducial", "Line", "Angle", "Curve", "ClosedCurve", "Plane", "ROI"]},
-                    "name": {"type": "string"},
-                    "coordinateSystem": {"enum": ["LPS", "RAS"]},
-                    "coordinateUnits": {"enum": ["mm", "um"]},
-                    "locked": {"type": "boolean"},
-                    "fixedNumberOfControlPoints": {"type": "boolean"},
-                    "labelFormat": {"type": "string"},
-                    "controlPoints": {
-                        "type": "array",
-                        "items": {
-                            "type": "object",
-                            "additionalProperties": False,
-                            "properties": {
-                                "id": {"type": "string"},
-                                "label": {"type": "string"},
-                                "description": {"type": "string"},
-                                "associatedNodeID": {"type": "string"},
-                                "position": TRIPLE,
-                                "orientation": {"type": "array", "minItems": 9, "maxItems": 9, "items": {"type": "number"}},
-                                "selected": {"type": "boolean"},
-                                "locked": {"type": "boolean"},
-                                "visibility": {"type": "boolean"},
-                                "positionStatus": {"enum": ["undefined", "preview", "defined"]},
-                            },
-                        },
-                    },
-                    "measurements": {
-                        "type": "array",
-                        "items": {
-                            "type": "object",
-                            "additionalProperties": False,
-                            "properties": {
-                                "name": {"type": "string"},
-                                "enabled": {"type": "boolean"},
-                                "value": {"type": "number"},
-                                "units": {"type": "string"},
-                                "description": {"type": "string"},
-                                "printFormat": {"type": "string"},
-                                "controlPointValues": {"type": "array", "items": {"type": "number"}},
-                            },
-                        },
-                    },
-                    "display": {
-                        "type": "object",
-                        "additionalProperties": False,
-                        "properties": {
-                            "visibility": {"type": "boolean"},
-                            "opacity": {"type": "number", "minimum": 0.0, "maximum": 1.0},
-                            "color": COLOR,
-                            "selectedColor": COLOR,
-                            "propertiesLabelVisibility": {"type": "boolean"},
-                            "pointLabelsVisibility": {"type": "boolean"},
-                            "glyphType": {"enum": ["Sphere3D", "Diamond3D", "Vertex2D", "Cross2D"]},
-                            "glyphSize": {"type": "number", "minimum": 0.0},
-                            "useGlyphScale": {"type": "boolean"},
-                            "lineThickness": {"type": "number", "minimum": 0.0},
-                        },
-                    },
-                },
-            },
-        },
-    },
-}
 
 
 @pytest.fixture(scope="module")
@@ -128,18 +49,6 @@ def exported(run: Path, process: Call) -> Path:
 def result(run: Path) -> dict[str, Any]:
     document: dict[str, Any] = json.loads((run / "result.json").read_text())
     return document
-
-
-def numbers(value: Any) -> Iterator[float]:
-    """Every number in a document."""
-    if isinstance(value, dict):
-        for item in value.values():
-            yield from numbers(item)
-    elif isinstance(value, list):
-        for item in value:
-            yield from numbers(item)
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        yield float(value)
 
 
 @pytest.mark.parametrize("name", ["lumen-seg.dcm", "lumen-stl.dcm"])
@@ -202,10 +111,12 @@ def test_the_segmentation_for_slicer_is_the_mask_of_the_dicom_one(exported: Path
 
 
 @pytest.mark.parametrize("name", ["path.mrk.json", "flags.mrk.json"])
-def test_markups_follow_slicers_fields_and_hold_numbers_of_the_run(exported: Path, result: dict[str, Any], name: str) -> None:
+def test_markups_follow_slicers_fields_and_hold_numbers_of_the_run(
+    exported: Path, result: dict[str, Any], slicer_schema: dict[str, Any], numbers_shown: Any, name: str
+) -> None:
     document = json.loads((exported / name).read_text())
-    Draft202012Validator(MARKUPS).validate(document)
-    known = set(numbers(result))
+    Draft202012Validator(slicer_schema).validate(document)
+    known = set(numbers_shown.numbers(result))
     for markup in document["markups"]:
         measured = markup["measurements"]
         assert measured or "features" in markup["name"]
@@ -223,8 +134,8 @@ def test_markups_follow_slicers_fields_and_hold_numbers_of_the_run(exported: Pat
                 assert set(figures) <= known
 
 
-def test_every_number_of_every_table_is_the_results(exported: Path, result: dict[str, Any]) -> None:
-    known = set(numbers(result))
+def test_every_number_of_every_table_is_the_results(exported: Path, result: dict[str, Any], numbers_shown: Any) -> None:
+    known = set(numbers_shown.numbers(result))
     counts = {}
     for file in sorted(exported.glob("*.csv")):
         head, *rows = csv.reader(file.read_text().splitlines())
