@@ -68,6 +68,13 @@ def test_no_error_and_no_outside_request(opened: Any, report: Path) -> None:
     assert [url for url in requests if not url.startswith("data:")] == [report.as_uri()]
 
 
+def test_the_scene_waits_for_the_first_paint(opened: Any) -> None:
+    page, _, _ = opened
+    painted = page.evaluate("performance.getEntriesByName('first-contentful-paint')[0].startTime")
+    started = page.evaluate("performance.getEntriesByName('tubeplan-start')[0].startTime")
+    assert started >= painted > 0.0
+
+
 def test_the_scene_is_not_blank_and_shows_the_flag(opened: Any) -> None:
     page, _, _ = opened
     assert page.evaluate("document.getElementById('scene').classList.contains('live')")

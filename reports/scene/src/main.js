@@ -3,7 +3,10 @@
 import './page.js';
 
 document.documentElement.classList.add('script', 'cursors');
-const start = () => (document.getElementById('tubeplan-compare') ? import('./compare.js') : import('./app.js'));
+function start() {
+  performance.mark('tubeplan-start');
+  return document.getElementById('tubeplan-compare') ? import('./compare.js') : import('./app.js');
+}
 // A new frame is not yet a painted one: the scene's first shaders would hold up the picture that is on its way to the screen.
 if (globalThis.PerformanceObserver?.supportedEntryTypes.includes('paint')) {
   const observer = new PerformanceObserver(() => { observer.disconnect(); start(); });
