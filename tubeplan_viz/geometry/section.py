@@ -58,6 +58,7 @@ class SurfaceSections:
     """
 
     def __init__(self, surface: Surface, *, reach: float = 40.0) -> None:
+        self.surface = surface
         self._vertices, self._faces = surface.vertices, surface.faces
         corners = surface.vertices[surface.faces]
         centers = corners.mean(axis=1)

@@ -15,7 +15,7 @@ def airway_measures(lumen: Lumen) -> tuple[tuple[Measure, ...], Drawing]:
     measures: list[Measure] = []
     trachea = middle_diameter(lumen, tree.branches[0].line)
     measures += (
-        lacking("no cross-section of the trachea has a closed outline", "trachea_diameter_mm")
+        lacking("no cross-section of the trachea has a closed outline in the mesh and a wall in the CT", "trachea_diameter_mm")
         if trachea is None
         else [Measure(key="trachea_diameter_mm", value=trachea)]
     )
@@ -43,9 +43,13 @@ def branch_measures(lumen: Lumen, branch: Branch, of: str) -> list[Measure]:
         Measure(key="generation", of=of, value=float(branch.generation)),
         Measure(key="branch_length_mm", of=of, value=branch.length),
     ]
-    diameter = middle_diameter(lumen, branch.line)
+    diameter = middle_width(lumen, branch.line)
     if diameter is None:
-        made += lacking("no cross-section in its middle half has a closed outline", "branch_diameter_mm", of=of)
+        made += lacking(
+            "no cross-section in its middle half has a closed outline in the mesh and a wall in the CT",
+            "branch_diameter_mm",
+            of=of,
+        )
     else:
         made.append(Measure(key="branch_diameter_mm", of=of, value=diameter))
     if branch.parent < 0:
@@ -58,6 +62,13 @@ def middle_diameter(lumen: Lumen, line: Centerline) -> float | None:
     length = float(line.arc_length[-1])
     diameters = lumen.diameters(line, 0.25 * length, 0.75 * length)
     return float(np.median(diameters)) if len(diameters) else None
+
+
+def middle_width(lumen: Lumen, line: Centerline) -> float | None:
+    """Median width of the cross-sections of the middle half of a line, mm: beside a branching most chords miss the neighbour."""
+    length = float(line.arc_length[-1])
+    widths = lumen.widths(line, 0.25 * length, 0.75 * length)
+    return float(np.median(widths)) if len(widths) else None
 
 
 def heading(branch: Branch) -> np.ndarray:

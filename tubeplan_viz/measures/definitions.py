@@ -12,8 +12,8 @@ WEIBEL = "Weibel ER, Morphometry of the Human Lung, Springer 1963 (generations c
 TAWHAI = "Tawhai MH et al., J Appl Physiol 2004; 97(6): 2310-2321 (branching angle)"
 OWN = "definition of this program"
 EDGE = (
-    "In a CT the outline is where the grey is half way between what fills the lumen and its wall (50 HU, or brighter tissue "
-    "beyond it), less what blur does to a round lumen; in a mesh it is the mesh."
+    "In a CT the outline is where the grey is half way between what fills the lumen and its wall (50 HU, brighter tissue beyond "
+    "it, or what is left of the thin wall of an airway), less what blur does to a round lumen; in a mesh it is the mesh."
 )
 
 
@@ -199,7 +199,8 @@ _ALL = (
         name="Diameter",
         unit="mm",
         digits=2,
-        text="Median over the middle half of the branch of the diameter of the circle with the area of the cross-section.",
+        text="Median over the middle half of the branch of the width of the cross-section: the median of its chords in all "
+        f"directions, most of which miss the neighbour beside a branching. {EDGE}",
         source=WEIBEL,
     ),
     Definition(

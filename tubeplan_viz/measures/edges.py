@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 from tubeplan_viz.geometry.section import SurfaceSections
+from tubeplan_viz.measures.outward import OutwardWall
 
 # Soft tissue of walls, HU: 30 to 70 unenhanced and in the late phases in which contrast medium fills a lumen.
 WALL_HU = 50.0
@@ -28,12 +29,15 @@ CONTRAST_MIN = 100.0  # below it the edge drowns in noise
 RAYS = 48
 STEP_MM = 0.1
 WINDOW_MM = 1.0  # the surface is known to be nearer to the edge than this
+WINDOW_DARK_MM = 2.0  # an airway is grown to a limit near air's, which leaves a voxel of its edge outside
 BEYOND_MM = (0.8, 2.4)  # outside the surface: past the blur of its edge, before the next organ
 INNER_LEVEL = 0.841345  # of a blurred straight edge, one deviation of the blur inside it
 BLUR_MM = (0.2, 1.2)  # deviations that scanners have
 AHEAD_MM = 1.5  # a papilla dents the lumen: blur fills the dent, and the surface may lie as far behind it
 BUNDLE_MM = 0.7  # radius of the lines that are averaged ahead of a point
 NEAR_MM = 1.5  # vertices of the surface around a place, whose profiles are averaged
+INSIDE_MM = 1.5  # from the wall: past its blur in a wide lumen, the middle of a narrow one
+CORE_ROOM = 0.25  # of the step from wall to filling: contrast medium settles, narrow lumens lose a part of their grey
 DEEP_MM = 2.5  # inside the surface, where the filling is seen
 ALONG_MM = (-1.0, -0.5, 0.0, 0.5, 1.0)
 SMOOTH_AROUND_MM = 0.7
@@ -82,6 +86,15 @@ class CtSections:
 
     def __init__(self, volume: Volume, surface: SurfaceSections) -> None:
         self._volume, self._surface = volume, surface
+        wall = OutwardWall(surface.surface)
+        inner = self._volume.to_index(wall.points - INSIDE_MM * wall.normals)
+        grey = map_coordinates(self._volume.voxels, inner.T, output=np.float64, order=1, mode="nearest")
+        self._filling = float(np.median(grey))
+
+    def _core(self, grey: FloatArray) -> float:
+        """Grey of the filling at a place, HU: what fills the whole lumen holds within limits, so that a stone is no filling."""
+        room = CORE_ROOM * abs(self._filling - WALL_HU)
+        return float(np.clip(np.median(grey), self._filling - room, self._filling + room))
 
     def diameter(self, point: FloatArray, normal: FloatArray) -> float | None:
         """Diameter in mm of the circle with the section's area.
@@ -130,7 +143,7 @@ class CtSections:
         axis = normal / np.linalg.norm(normal)
         heading = np.cos(angles)[:, None] * plane[0] + np.sin(angles)[:, None] * plane[1]  # (rays, 3)
         inner = np.linspace(0.0, CORE_SHARE * float(known.min()), 4)
-        core = float(np.median(self._grey(point, axis, heading, np.broadcast_to(inner, (len(angles), 4)))))
+        core = self._core(self._grey(point, axis, heading, np.broadcast_to(inner, (len(angles), 4))))
         if abs(core - WALL_HU) < CONTRAST_MIN:
             return None
         steps = np.arange(-WINDOW_MM, BEYOND_MM[1] + 0.5 * STEP_MM, STEP_MM)  # (m,)
@@ -159,7 +172,7 @@ class CtSections:
         )
         near = cKDTree(points).query_ball_point(points, NEAR_MM)
         grey = np.array([grey[rows].mean(axis=0) for rows in near])
-        core = float(np.median(grey[:, steps <= 0.5 - DEEP_MM]))
+        core = self._core(grey[:, steps <= 0.5 - DEEP_MM])
         if abs(core - WALL_HU) < CONTRAST_MIN:
             return 0.0, 0.0
         found = edges(grey[:, steps >= -WINDOW_MM], steps[steps >= -WINDOW_MM], core)
@@ -186,7 +199,7 @@ class CtSections:
         steps = np.arange(-AHEAD_MM, BEYOND_MM[1] + 0.5 * STEP_MM, STEP_MM)
         inner = np.linspace(0.0, CORE_SHARE * known, 4)
         grey = self._on_line(point, heading, np.concatenate([inner, known + steps]), beside)
-        core = float(np.median(grey[:4]))
+        core = self._core(grey[:4])
         if abs(core - WALL_HU) < CONTRAST_MIN:
             return known
         place = float(edges(grey[None, 4:], steps, core).place[0])
@@ -231,8 +244,13 @@ def edges(grey: FloatArray, steps: FloatArray, core: float) -> Edges:
     if core > WALL_HU:
         bound[:, 0] = np.maximum(WALL_HU, grey[:, steps >= BEYOND_MM[0]].min(axis=1))
         bound = np.where(core - bound < CONTRAST_MIN, WALL_HU, bound)  # another lumen lies there
+    else:
+        # Half way to the brightest of the wall: a bronchus's is too thin for its whole grey to be seen (full width at half
+        # maximum, Nakano et al., Am J Respir Crit Care Med 2000; 162: 1102).
+        bound[:, 0] = np.minimum(WALL_HU, grey[:, steps >= 0.0].max(axis=1))
+        bound = np.where(bound - core < CONTRAST_MIN, WALL_HU, bound)
     filled = (grey - bound) / (core - bound)  # 1 in the filling, 0 in what bounds it
-    window = steps <= WINDOW_MM + 1e-9
+    window = steps <= (WINDOW_MM if core > WALL_HU else WINDOW_DARK_MM) + 1e-9
     half = first_below(filled[:, window], steps[window], 0.5)
     width = half - first_below(filled[:, window], steps[window], INNER_LEVEL)
     seen = width[~np.isnan(width)]

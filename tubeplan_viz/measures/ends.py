@@ -13,15 +13,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
-from segmentation.mesh import Surface
 from tubeplan_viz.centerline import Centerline, CenterlineTree
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.measures.balls import WidePart, wide_part
 from tubeplan_viz.measures.lines import Lumen, place
+from tubeplan_viz.measures.outward import OutwardWall
 
 TOUCH_MM = 0.6  # vertices this near to a ball are the wall that it touches
 RIM_LEAST, LIP_REACH_MM = 20, 6.0
-BULGE_REACH_MM, BULGE_LEAST, BULGE_MAX = 2.5, 12, 0.5
 AXIS_RADII = 1.5  # of the calyx's largest ball: on a longer stretch the middle line still turns out of the infundibulum
 AHEAD_STEP_MM, AHEAD_FARTHEST_MM = 0.1, 40.0
 
@@ -83,33 +82,6 @@ def wall_ahead(wall: WallDistance, point: FloatArray, heading: FloatArray) -> fl
 def calyx_begin(tree: CenterlineTree, target: int, way: Centerline) -> float:
     """Arc length on a way from which its calyx is looked for: the far half of the last branch."""
     return float(way.arc_length[-1]) - 0.5 * tree.branches[int(tree.last_branch[target])].length
-
-
-class OutwardWall:
-    """Vertices of a surface with their unit outward normals: means of the faces' weighted by area."""
-
-    def __init__(self, surface: Surface) -> None:
-        weighted = surface.face_normals * surface.face_areas[:, None]
-        total = np.zeros_like(surface.vertices)
-        for corner in range(3):
-            np.add.at(total, surface.faces[:, corner], weighted)
-        self.points = surface.vertices
-        self.normals = np.asarray(total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12))
-
-    def bulge(self, point: FloatArray, heading: FloatArray) -> float:
-        """Mean curvature of the surface ahead, 1/mm: positive where the lumen ends in a dome, negative before a papilla.
-
-        That of the best paraboloid through the vertices around; 0 where there are too few.
-        """
-        around = np.linalg.norm(self.points - point, axis=1) <= BULGE_REACH_MM
-        rows = self.points[around & (self.normals @ heading > 0.0)] - point
-        if len(rows) < BULGE_LEAST:
-            return 0.0
-        height = rows @ heading
-        plane = np.linalg.svd(heading[None])[2][1:]
-        beside = rows @ plane.T
-        terms = np.column_stack([np.ones(len(rows)), beside, (beside**2).sum(axis=1)])
-        return float(np.clip(-2.0 * np.linalg.lstsq(terms, height, rcond=None)[0][3], -BULGE_MAX, BULGE_MAX))
 
 
 class Rim:

@@ -14,9 +14,10 @@ from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
 from tubeplan_viz.measures.balls import WidePart, wide_part
-from tubeplan_viz.measures.ends import OutwardWall, Rim, calyx_bottoms
+from tubeplan_viz.measures.ends import Rim, calyx_bottoms
 from tubeplan_viz.measures.lines import Lumen, angle_between, fitted_direction, place
 from tubeplan_viz.measures.measure import Drawing, Measure, lacking
+from tubeplan_viz.measures.outward import OutwardWall
 
 AXIS_LEAST_MM = 8.0  # a shorter stretch of middle line gives no sure direction
 JUNCTION_SEARCH_MM = 15.0
@@ -252,7 +253,11 @@ def width_measures(lumen: Lumen, way: Centerline, infundibulum: Infundibulum, of
     """The infundibulum's narrowest cross-section."""
     diameters = lumen.diameters(way, infundibulum.lip, infundibulum.end)
     if not len(diameters):
-        return lacking("no cross-section of the infundibulum has a closed outline", "infundibular_width_mm", of=of)
+        return lacking(
+            "no cross-section of the infundibulum has a closed outline in the mesh and a wall in the CT",
+            "infundibular_width_mm",
+            of=of,
+        )
     return [Measure(key="infundibular_width_mm", of=of, value=narrowest(diameters))]
 
 
@@ -278,7 +283,9 @@ def calyx_measures(
     begin = whole - 0.5 * (last.length if len(infundibulum.targets) > 1 else whole - infundibulum.lip)
     widths = lumen.widths(way, begin, whole)
     if not len(widths):
-        return made + lacking("no cross-section of the calyx has a closed outline", "calyx_diameter_mm", of=of)
+        return made + lacking(
+            "no cross-section of the calyx has a closed outline in the mesh and a wall in the CT", "calyx_diameter_mm", of=of
+        )
     return [*made, Measure(key="calyx_diameter_mm", of=of, value=float(widths.max()))]
 
 
@@ -294,5 +301,5 @@ def ureter_measures(lumen: Lumen, trunk: Centerline | None, radius: float) -> li
     junction = float(s[before[trunk.radii[before].argmin()]])
     diameters = lumen.diameters(trunk, URETER_SKIP_MM, junction)
     if not len(diameters):
-        return lacking("no cross-section of the ureter has a closed outline", *keys)
+        return lacking("no cross-section of the ureter has a closed outline in the mesh and a wall in the CT", *keys)
     return [Measure(key=keys[0], value=float(diameters.mean())), Measure(key=keys[1], value=narrowest(diameters))]

@@ -21,6 +21,7 @@ from tubeplan_viz.verify.claims import (
     check_verdict,
 )
 from tubeplan_viz.verify.files import check_markups, check_outputs, check_table
+from tubeplan_viz.verify.measures import check_measures
 from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
 from tubeplan_viz.verify.needle import check_needle
 from tubeplan_viz.verify.page import check_page
@@ -149,7 +150,7 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
         yield from check_surface(result, mesh)
         length = float(np.linalg.norm(np.diff(path.pieces, axis=1), axis=2).sum())
         if length <= LONGEST_MM:
-            yield from _measured_checks(result, path, mesh, table)
+            yield from _measured_checks(result, path, mesh, table, case)
             if result["planner"]["name"] == "bronchoscope":
                 yield from check_bronchoscope(folder, result, _lumen(result, mesh))
         else:
@@ -166,9 +167,12 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
         yield from check_page(page, result)
 
 
-def _measured_checks(result: dict[str, Any], path: BezierPath, mesh: MeshFile, table: str | None) -> Iterator[Check]:
+def _measured_checks(
+    result: dict[str, Any], path: BezierPath, mesh: MeshFile, table: str | None, case: dict[str, Any] | None
+) -> Iterator[Check]:
     own = measure(path, _lumen(result, mesh))
     yield from _claims(result, own)
+    yield from check_measures(result, case, mesh, own)
     if table is not None:
         yield from check_table(table, result, own.samples)
 

@@ -24,3 +24,7 @@ def test_diameters_lengths_and_turns_are_those_the_airway_is_made_with() -> None
     for part, turn in ((right, 30.0), (left, 45.0)):
         assert found[part, "branch_diameter_mm"] == pytest.approx(12.2, abs=0.1)
         assert found[part, "branch_angle_deg"] == pytest.approx(turn, abs=3.0)
+    # The second generation is 8.3 mm wide and 18 mm long: half of a branch lies beside its sister, which must not count.
+    second = [part for (part, key), value in found.items() if key == "generation" and value == 2.0]
+    assert len(second) == 4
+    assert [found[part, "branch_diameter_mm"] for part in second] == pytest.approx([8.3] * 4, abs=0.1)
