@@ -18,7 +18,7 @@ from tubeplan_viz.needle.bodies import Polygon, Sphere
 from tubeplan_viz.needle.planar_shapes import PlanarProblem
 
 ComplexArray = NDArray[np.complex128]
-DEPTHS = 33  # samples along a piece that crosses a polygon
+DEPTHS = 17  # samples along a piece that crosses a polygon
 TINY = 1e-300
 
 

@@ -12,7 +12,7 @@ from tubeplan_viz.needle.planar_bodies import FlatScene
 from tubeplan_viz.needle.planar_motion import Posed, along, contacts, last_is_line, motions, posed
 from tubeplan_viz.needle.planar_shapes import PlanarProblem
 
-STEPS = 25  # rounds of the quadratic programming; five to ten are usual
+STEPS = 15  # rounds of the quadratic programming; five to ten are usual
 EXACT = 1e-8  # mm, of its end
 EDGE = 1e-9  # mm kept beyond a limit, so that rounding does not break it
 RETURNS = 6  # steps back into the limits that it leaves by `EXACT`

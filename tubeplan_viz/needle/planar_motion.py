@@ -175,6 +175,7 @@ def motions(paths: Posed, near: Nearest, pieces: IntArray) -> ComplexArray:
             pieces > i, heading + 1j * bend * (near.place - end), np.where((pieces == i) & near.at_end, heading, 0.0)
         )
         made[..., i] = shift + 1j * paths.turning[:, i, None] * near.place
+    made[(pieces == paths.lengths.shape[1] - 1) & near.at_end] = 0.0  # the target
     return made
 
 

@@ -18,7 +18,8 @@ from tubeplan_viz.needle.planar_finish import Candidate, polished
 from tubeplan_viz.needle.planar_motion import posed
 from tubeplan_viz.needle.planar_shapes import PlanarProblem, sides_of
 
-WITHIN = 8e-4  # of the best cost: less than the 0.1 % that is promised
+# Of the best cost, by how many lengths are free: less than the 0.1 % that is promised, and far less where cells are few.
+WITHIN = {0: 0.0, 1: 1e-6, 2: 1e-4, 3: 8e-4}
 FIRST = {1: 64, 2: 16, 3: 8}  # cells along each free length at the start, by how many there are
 REACH = 1.5  # times the distance of the target: no piece is longer
 BLIND = 0.7  # mm, half width below which cells are given up that no derivative bounds: all but paths that end across
@@ -97,7 +98,7 @@ def search_form(problem: PlanarProblem, scene: FlatScene, form: str, simpler: tu
 
 def enough(best: Candidate | None) -> float:
     """The cost below which a path is worth looking for."""
-    return np.inf if best is None else (1.0 - WITHIN) * best.cost
+    return np.inf if best is None else (1.0 - WITHIN[len(best.free)]) * best.cost
 
 
 def first_cells(problem: PlanarProblem, form: str) -> Cells:
