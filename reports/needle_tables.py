@@ -38,10 +38,23 @@ def forms_table(source: Source) -> Table | None:
             )
         )
         name = form["form"] + (" (chosen)" if form["form"] == details["chosen_form"] else "")
-        measures = cells(source, key, ("score", 3), ("length_mm", 3), ("insertion_angle_deg", 3), ("clearance_min_mm", 3))
+        measures = cells(
+            source, key, ("score", 3), ("score_bound", 3), ("length_mm", 3), ("insertion_angle_deg", 3), ("clearance_min_mm", 3)
+        )
         rows.append((phrase(name), *measures, pieces if form["feasible"] else phrase(str(form["reason"]))))
-    head = ("Form", "F", "Length, mm", "Insertion angle, °", "Least clearance, mm", "Pieces, mm, or why there is none")
-    line = "L is a line, R an arc, in order; the best path of each form that ends on the target. F = a1 L + a2 D + a4 N."
+    head = (
+        "Form",
+        "F",
+        "F is at least",
+        "Length, mm",
+        "Insertion angle, °",
+        "Least clearance, mm",
+        "Pieces, mm, or why there is none",
+    )
+    line = (
+        "L is a line, R an arc, in order; the best path of each form that ends on the target. F = a1 L + a2 D + a4 N. "
+        "No path of a form has a smaller F than its bound: every cell of piece lengths that could hold one is excluded."
+    )
     return Table("forms", "Forms", line, head, tuple(rows), note=MISPRINT)
 
 

@@ -145,8 +145,11 @@ def judged_scene(problem: PlanarProblem, index: int) -> tuple[list[Judged], floa
 
 def judge(problem: PlanarProblem, path: PlanarPath, rng: np.random.Generator) -> Judged:
     """One form against brute force."""
+    s = problem.settings
     grid = shortest_path(problem, path.form, MARGIN * path.length, rng)
-    return Judged(form=path.form, ours=path.length, bound=path.bound / problem.settings.weight_length, grid=grid)
+    return Judged(
+        form=path.form, ours=path.length, bound=(path.bound - s.weight_degree * path.degree) / s.weight_length, grid=grid
+    )
 
 
 def flat_problem(case: NeedleCase) -> PlanarProblem:

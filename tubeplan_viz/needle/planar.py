@@ -46,7 +46,7 @@ class PlanarPath:
     tried : int
         Cells of piece lengths searched.
     bound : float
-        No path of this form has a smaller a1 L + a2 D; infinite where it is certain that there is none.
+        No path of this form has a smaller F; infinite where it is certain that there is none.
     """
 
     form: str
@@ -123,9 +123,10 @@ def unreachable(problem: PlanarProblem, form: str) -> str:
 def finished(problem: PlanarProblem, form: str, found: Found) -> PlanarPath:
     """What was found of one form as a path with its own measures, or with the reason why there is none."""
     s = problem.settings
+    bound = found.bound + s.weight_degree * len(form)
     shown = found.best or found.nearest
     if shown is None:
-        return PlanarPath(form=form, reason=unreachable(problem, form), tried=found.weighed, bound=found.bound)
+        return PlanarPath(form=form, reason=unreachable(problem, form), tried=found.weighed, bound=bound)
     whole = posed(problem, shown.free[None], shown.sides[None], np.array([shown.root]))
     lengths, angle = whole.lengths[0], float(whole.angle[0])
     pose = planar_pose(problem.entry, angle)
@@ -133,7 +134,7 @@ def finished(problem: PlanarProblem, form: str, found: Found) -> PlanarPath:
     arcs = push(pose, controls)
     gaps = problem.scene.least_distance(arcs)
     if found.best is None:
-        return PlanarPath(form=form, reason=blocked(problem, form, found, gaps), tried=found.weighed, bound=found.bound)
+        return PlanarPath(form=form, reason=blocked(problem, form, found, gaps), tried=found.weighed, bound=bound)
     risk = float(danger(np.maximum(gaps, s.safety), s.safety)) if len(gaps) else 0.0
     return PlanarPath(
         form=form,
@@ -146,7 +147,7 @@ def finished(problem: PlanarProblem, form: str, found: Found) -> PlanarPath:
         score=s.weight_length * controls.length + s.weight_danger * risk + s.weight_degree * len(form),
         tip_error=float(np.linalg.norm(arcs.tips - np.array([0.0, *problem.target]))),
         tried=found.weighed,
-        bound=found.bound,
+        bound=bound,
     )
 
 

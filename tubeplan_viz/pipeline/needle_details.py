@@ -91,6 +91,8 @@ def form_details(path: PlanarPath) -> dict[str, Any]:
         "feasible": path.feasible,
         "reason": path.reason,
         "tried": path.tried,
+        "score_bound": path.bound if np.isfinite(path.bound) else None,
+        "certain": bool(np.isinf(path.bound)),
     }
     if path.controls is None or path.pose is None or path.clearances is None:
         return told
