@@ -131,7 +131,7 @@ def test_the_verifier_finds_an_obstacle_that_is_too_near(flat: Path, tmp_path: P
 
 def test_a_blocked_target_ends_with_status_4_and_a_reason(tmp_path: Path) -> None:
     around = [{"kind": "circle", "center": [18 * np.sin(a), 80 + 18 * np.cos(a)], "radius_mm": 8.0} for a in np.arange(8) * 0.785]
-    table = {"planner": {"name": "needle2d"}, "target": [0, 80], "safety_mm": 1.0, "obstacles": around}
+    table = {"planner": {"name": "needle2d"}, "target": [0, 80], "safety_mm": 1.0, "degree_max": 3, "obstacles": around}
     assert run(tmp_path, json.loads(json.dumps(table)), "run", "--no-recording") == 4
     result = result_of(tmp_path / "run")
     assert result["status"] == "infeasible"
