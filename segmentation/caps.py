@@ -28,8 +28,9 @@ FACET_COSINE = 0.85
 LEAST_COMPACTNESS = 0.5
 # The wall stands at 90 degrees around a cylinder's end; a cone of half angle 30 degrees at 60.
 RIM_COSINE = 0.77
-# A rim facet that faces more outward along the axis than sideways is chamfer, not wall.
-CHAMFER_COSINE = 0.5
+# A rim facet that leans towards the disc's normal by more than this beyond the wall's own lean below the rim is chamfer, not
+# wall (facets of a smooth wall scatter by less than 0.1); one that faces more outward along the axis than sideways always is.
+CHAMFER_LEAN, CHAMFER_COSINE = 0.15, 0.5
 LEAST_RADIUS = 0.3
 # A point may lie this far inside from the end that it means: on the disc, in discs' radii.
 REACH_RADII, ON_DISC = 4.0, 1.0
@@ -271,16 +272,19 @@ class _Finder:
     def with_chamfer(self, patch: _Patch, free: BoolArray) -> IntArray:
         """The patch with the slivers of its rim: facets between disc and wall, within one facet's size of the plane."""
         edge = float(np.median(np.linalg.norm(self.corners[patch.faces] - np.roll(self.corners[patch.faces], 1, axis=1), axis=2)))
-        width = min(1.3 * edge, 0.5 * patch.radius)
+        width = min(1.5 * edge, 0.5 * patch.radius)
         level = float(patch.center @ patch.normal)
         rim = float(np.linalg.norm(self.corners[patch.faces].reshape(-1, 3) - patch.center, axis=1).max())
-        near = np.asarray(self.tree.query_ball_point(patch.center, rim + 2.0 * width), dtype=np.int64)
+        near = np.asarray(self.tree.query_ball_point(patch.center, rim + 3.0 * width), dtype=np.int64)
         near = near[free[near]]
         depth = level - self.corners[near] @ patch.normal
+        wall = near[(depth.min(axis=1) > width) & (depth.max(axis=1) < 3.0 * width)]
+        areas = self.areas[wall]
+        lean = float(areas @ (self.normals[wall] @ patch.normal) / areas.sum()) if len(wall) else CHAMFER_COSINE
         shallow = (depth.max(axis=1) <= width) & (
             np.linalg.norm(self.corners[near] - patch.center, axis=2).max(axis=1) <= rim + width
         )
-        leaning = self.normals[near] @ patch.normal > CHAMFER_COSINE
+        leaning = self.normals[near] @ patch.normal > min(lean + CHAMFER_LEAN, CHAMFER_COSINE)
         pool = np.union1d(patch.faces, near[shallow & leaning])
         whole = self._connected(pool, int(patch.faces[0]))
         # Slivers without a direction of their own, all of whose vertices belong to the cap by now.
