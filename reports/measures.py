@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from reports.measures_sketches import Sketch, sketches
 from reports.numbers import Phrase, Source, phrase
 from reports.svg import tag
 from segmentation.arrays import FloatArray
@@ -74,6 +75,7 @@ class Section:
     groups: tuple[Group, ...]
     scores: tuple[ScoreTable, ...]
     meanings: tuple[Meaning, ...]
+    sketches: tuple[Sketch, ...]
     picture: Markup | None
     caption: str
 
@@ -89,6 +91,7 @@ def measures_section(source: Source) -> Section | None:
         groups=tuple(group for name in TITLES for group in groups_of(source, told["items"], name)),
         scores=tuple(score_of(source, k, score) for k, score in enumerate(told["scores"])),
         meanings=tuple(Meaning(one["name"], one["text"], one["source"]) for one in told["definitions"].values()),
+        sketches=sketches(told["items"], lambda k: value_of(source, k, told["items"][k], unit=True)),
         picture=None if drawing is None else picture_of(drawing),
         caption="Seen from the front: the patient’s left is on the right." if frame == "LPS" else "Seen along the mesh’s y axis.",
     )
