@@ -61,6 +61,7 @@ def make_rigid_page(case_id: str, result: Mapping[str, Any], volume: Volume, str
     side = str(result["details"]["side"])
     parts = (
         _pictures(result, volume, structures),
+        _relief(source),
         _entry(source),
         _corridor(source),
         _profile(source),
@@ -178,6 +179,36 @@ def _entry(source: Source) -> Part:
         legend=(("feasible", "var(--holds)"), *_legend(list(names))),
         head=("Structure", "Infeasible voxels whose straight push it blocks", "Tries it refused in all"),
         rows=tuple(rows),
+    )
+
+
+def _relief(source: Source) -> Part | None:
+    """Without a way: what would open one."""
+    tried = source.result["details"].get("relief")
+    if not tried:
+        return None
+    rows = []
+    for k, row in enumerate(tried):
+        key = f"details.relief.{k}"
+        against = ", ".join(
+            f"{name.replace('_', ' ')} {count}" for name, count in sorted(row["against"].items(), key=lambda item: -item[1])
+        )
+        rows.append(
+            (
+                phrase(str(row["change"] or "as planned")),
+                source.need(f"{key}.straight_starts", 0),
+                source.need(f"{key}.free", 0),
+                phrase(against or "nothing"),
+            )
+        )
+    return Part(
+        id="what-would-help",
+        title="What would open a way",
+        line="The same lesion with one thing changed at a time, then with changes together. Brain and orbits stay. "
+        "A start counts when a straight push from it is free; with free directions and no such start, a path would need bends.",
+        head=("Change", "Starts with a straight way", "Free directions at the lesion", "Directions blocked, without roll, by"),
+        rows=tuple((row[0], phrase(row[1]), phrase(row[2]), row[3]) for row in rows),
+        note="Whether tissue may be removed, or another instrument is at hand, is the surgeon's to judge.",
     )
 
 

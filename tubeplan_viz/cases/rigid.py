@@ -13,7 +13,7 @@ from segmentation.anatomy.nasal.scene import SIDES, STRUCTURES
 from segmentation.errors import CaseError
 from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text, whole
 from tubeplan_viz.cases.writing import case_file, in_unit_of, listed, shown_path, written
-from tubeplan_viz.instruments.rigid_catalogue import coupled_instrument, read_rigid_catalogue
+from tubeplan_viz.instruments.rigid_catalogue import coupled_instrument, read_rigid_catalogue, thinnest_pair
 from tubeplan_viz.rigid import GOALS, CoupledInstrument, SearchSettings, Weights
 
 METHODS = ("tangent",)
@@ -65,6 +65,11 @@ class RigidCase:
     def instrument(self) -> tuple[CoupledInstrument, str, str]:
         """The coupled instrument and the names of endoscope and shaver."""
         return coupled_instrument(read_rigid_catalogue(self.catalogue), self.endoscope, self.shaver, offset=self.offset)
+
+    @property
+    def thinnest(self) -> CoupledInstrument:
+        """The thinnest endoscope and shaver of the catalogue, as far apart as the case says."""
+        return thinnest_pair(read_rigid_catalogue(self.catalogue), offset=self.offset)
 
 
 OWN = (

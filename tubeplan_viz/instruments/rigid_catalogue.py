@@ -91,3 +91,10 @@ def coupled_instrument(
         offset=offset,
     )
     return made, str(scope["name"]), str(tool["name"])
+
+
+def thinnest_pair(catalogue: Mapping[str, Mapping[str, Mapping[str, Any]]], *, offset: float) -> CoupledInstrument:
+    """The thinnest endoscope with the thinnest shaver of a catalogue."""
+    scope, shaver = (min(catalogue[kind].values(), key=lambda row: float(row["diameter_mm"])) for kind in ("endoscope", "shaver"))
+    made, _, _ = coupled_instrument(catalogue, str(scope["name"]), str(shaver["name"]), offset=offset)
+    return made

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,12 @@ from tubeplan_viz.rigid import (
     GOALS,
     Judge,
     Problem,
+    Relief,
     RigidPath,
     RigidPlan,
     pose_angles,
     posed,
+    reliefs,
     structure_distances,
     up_of,
 )
@@ -89,7 +91,12 @@ def rigid_content(
         "details": details,
     }
     if plan.ranking is None:
-        content["reason"] = refusal(plan)
+        tried = list(reliefs(problem, case.search.roll_values, case.thinnest))
+        content["reason"] = refusal(plan, tried)
+        details["relief"] = [
+            {"change": r.change, "directions": r.directions, "free": r.free, "straight_starts": r.starts, "against": r.against}
+            for r in tried
+        ]
         return content
     best = plan.paths[plan.ranking.best["overall"]]
     details["candidates"] = candidates(plan)
@@ -186,19 +193,30 @@ def entry_details(plan: RigidPlan) -> dict[str, Any]:
     }
 
 
-def refusal(plan: RigidPlan) -> str:
-    """Why there is no path, naming the structure that is most often in the way, and where."""
+def refusal(plan: RigidPlan, tried: Sequence[Relief]) -> str:
+    """Why there is no path: what stands against the instrument at the lesion, where, and what would open a way."""
     found, names = plan.searched, plan.problem.obstacles.names
     counts = np.bincount(found.blocked_by[found.blocked_by >= 0], minlength=len(names))
-    told = ", ".join(f"{names[k]} {counts[k]}" for k in np.argsort(-counts) if counts[k])
+    told = ", ".join(f"{names[k].replace('_', ' ')} {counts[k]}" for k in np.argsort(-counts) if counts[k])
     worst = int(counts.argmax())
-    rows = found.blocked_by == worst
-    places = found.blocked_at[rows]
+    places = found.blocked_at[found.blocked_by == worst]
     middle = places[np.linalg.norm(places - plan.problem.goal, axis=1).argmin()]
+    now, changes = tried[0], tried[1:]
+    at_goal = (
+        f"with its tip on the lesion the instrument is free in none of {now.directions} directions through the nostril"
+        if not now.free
+        else f"{now.free} directions are free at the lesion, but none can be reached from the nostril"
+    )
+    opening = [change.change for change in changes if change.starts]
+    help_ = (
+        f"a straight way opens with {' or with '.join(opening[:3])}"
+        if opening
+        else "none of the changes tried opens a straight way"
+    )
     return (
         f"no way in for this instrument from any of {len(found.feasible)} places of the {plan.problem.side} entry region: "
-        f"straight pushes meet {told}; {names[worst]} stands in the way nearest to the lesion at "
-        f"({middle[0]:.1f}, {middle[1]:.1f}, {middle[2]:.1f}) mm"
+        f"{at_goal}; straight pushes meet {told}; {names[worst].replace('_', ' ')} stands in the way nearest to the lesion at "
+        f"({middle[0]:.1f}, {middle[1]:.1f}, {middle[2]:.1f}) mm; {help_}"
     )
 
 

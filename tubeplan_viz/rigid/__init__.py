@@ -5,6 +5,7 @@ from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, pose_angles
 from tubeplan_viz.rigid.judge import Judge
 from tubeplan_viz.rigid.planner import Problem, RigidPlan, make_problem, path_goals, plan_rigid, refined, structure_distances
 from tubeplan_viz.rigid.ranking import BEST, GOALS, Ranking, Weights, rank
+from tubeplan_viz.rigid.relief import Relief, reliefs
 from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
 from tubeplan_viz.rigid.tangent_search import search
 
@@ -17,6 +18,7 @@ __all__ = [
     "Judge",
     "Problem",
     "Ranking",
+    "Relief",
     "RigidPath",
     "RigidPlan",
     "SearchResult",
@@ -31,6 +33,7 @@ __all__ = [
     "posed",
     "rank",
     "refined",
+    "reliefs",
     "search",
     "structure_distances",
     "swept",

@@ -56,6 +56,15 @@ def free_directions(judge: Judge, starts: FloatArray, goal: FloatArray, roll: fl
     return plane.directions(np.array([cell for cell, ok in tried.items() if ok], dtype=np.int64).reshape(-1, 2))
 
 
+def direction_grid(starts: FloatArray, goal: FloatArray) -> tuple[FloatArray, float]:
+    """Directions of the coarsest grid, (k, 3) unit vectors, and the distance of the farthest start, mm."""
+    plane = _Plane(starts, goal)
+    seen = plane.of(starts)
+    cells = np.array(list(_grid(seen, PITCHES[0])))
+    away, _ = cKDTree(seen).query(FINEST_MM * cells)
+    return plane.directions(cells[away <= BESIDE_MM]), plane.reach
+
+
 class _Plane:
     """Directions as points of a plane across the middle of the entry region's cone, as far from the goal as the region."""
 
