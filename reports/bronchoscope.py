@@ -110,6 +110,16 @@ def _keys(source: Source) -> tuple[Key, ...]:
         ),
         *place_keys(source),
     ]
+    contacts = source.result["details"]["contacts"]
+    steps = phrase(f"{len(source.result['details']['steps']) - 1} commands for both sections and the push")
+    if contacts["largest_force_mm"] is not None:
+        x, y, z = contacts["largest_force_mm"]
+        where = phrase(f"after step {contacts['largest_force_step']} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; ", steps)
+        made.append(Key("Largest contact force", phrase(source.need("details.contacts.largest_force_n", 3, "N")), where))
+    elif source.result["planner"]["method"] == "dynamic":
+        made.append(Key("Contact", phrase("none"), phrase("at rest after no step; ", steps)))
+    else:
+        made.append(Key("Contact", phrase("none allowed"), phrase("forces are not computed by kinematics; ", steps)))
     return tuple(made)
 
 
@@ -152,6 +162,9 @@ def _charts(source: Source) -> tuple[Drawing, ...]:
     for name, key in (("Proximal bend", "phi_proximal_deg"), ("Distal bend", "phi_distal_deg")):
         values = [0.0 if step["command"] is None else float(step["command"][key]) for step in steps]
         rows.append((name, "degrees, by step", "curvature", values, limit, f"largest {limit:.0f}°"))
+    if result["planner"]["method"] == "dynamic":
+        forces = [max((float(force) for force in step["forces_n"]), default=0.0) for step in steps]
+        rows.append(("Contact force", "N, by step, the largest while it rests", "clearance", forces, None, ""))
     for title, unit, kind, values, level, words in rows:
         spec = Steps(
             kind=kind,

@@ -34,8 +34,8 @@ from tubeplan_viz.result import Provenance, RunFolder, plain
 from tubeplan_viz.tube.bottleneck import widest_way
 
 REACH_FILES = ("reach.json", "reach.csv", "report.html", "recording.rrd", "mesh.ply")
-# A plan that takes longer for one branch is given up; by kinematics those that succeed take well under a second.
-BUDGET = 4.0
+# Samples for one branch before all commands are laid at once: a number, no time, so that the map is the same on every machine.
+SAMPLES = 12
 # A section bent this much has nothing left.
 FULL_BEND = 0.97
 # The tip is in a branch when it is past so much of its length, or at its end.
@@ -155,13 +155,15 @@ def planned(
     rng_seed: int,
     simulator: Mover | None,
 ) -> BranchReach:
-    """A plan into a branch, as deep as it is wide enough."""
-    depth = max(depth, 0.5)
-    target = Target(branch=number, depth=depth, point=airway.place(number, depth))
-    way = plan_way(airway, entrance, target, robot, settings, rng=np.random.default_rng(rng_seed), simulator=simulator)
-    plan = way.plan
-    if plan.reached:
-        return BranchReach(verdict=Verdict.REACHED, reason=None, depth=depth, tip_error=plan.tip_error, plan=plan)
+    """A plan into a branch, as deep as it is wide enough, or else to its middle."""
+    deepest = max(depth, 0.5)
+    middle = HALF * airway.branches[number].length
+    for wanted in (deepest, middle) if middle < deepest else (deepest,):
+        target = Target(branch=number, depth=wanted, point=airway.place(number, wanted))
+        way = plan_way(airway, entrance, target, robot, settings, rng=np.random.default_rng(rng_seed), simulator=simulator)
+        plan = way.plan
+        if plan.reached:
+            return BranchReach(verdict=Verdict.REACHED, reason=None, depth=wanted, tip_error=plan.tip_error, plan=plan)
     verdict, why = stopped_by(plan, robot)
     return BranchReach(verdict=verdict, reason=why, depth=0.0, tip_error=plan.tip_error)
 
@@ -211,7 +213,7 @@ def run_reach(
     with RunFolder(target, force=force, files=REACH_FILES) as folder:
         given = load_airway(case, watch)
         simulator = make_simulator(given.airway, given.entrance, case.robot) if case.method == "dynamic" else None
-        budget = case.time_budget if case.time_budget is not None else None if simulator is not None else BUDGET
+        samples = case.settings.samples_max if simulator is not None else min(SAMPLES, case.settings.samples_max)
         with watch.stage("plan") as progress:
 
             def judged(done: int, total: int) -> None:
@@ -222,7 +224,7 @@ def run_reach(
                 given.airway,
                 given.entrance,
                 case.robot,
-                replace(case.settings, time_budget=budget),
+                replace(case.settings, samples_max=samples, time_budget=case.time_budget),
                 rng_seed=case.rng_seed,
                 simulator=simulator,
                 progress=judged,

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from segmentation.arrays import FloatArray, IntArray
 from tubeplan_viz.bronchoscope.guide import Guide
@@ -29,7 +30,9 @@ from tubeplan_viz.geometry import WallDistance
 SUBSTEP, PER_KNOT = 1.0, 2  # mm of push between two looks at the wall; looks from knot to knot
 BACK = 80.0  # mm of the way before the goal that are laid anew: four branches of a bronchial tree
 ROUNDS = 15
-# Clearance beyond the robot's surface that is asked for, mm, and by how much the weights below count beside it, one after the other.
+# Later attempts begin with smooth noise on the bends, rad, over some knots.
+ATTEMPTS, NOISE, NOISE_WIDTH = 3, 0.1, 4.0
+# Clearance beyond the robot's surface that is asked for, mm, and the share of the weights below beside it, one after the other.
 SCHEDULE = ((0.25, 1.0), (0.1, 0.3), (0.05, 0.1), (0.03, 0.03))
 # Weights beside 1 per mm of missing clearance: per mm of tip error, rad of change between knots, rad beyond the largest bend.
 GOAL_WEIGHT, CHANGE_WEIGHT, BEND_WEIGHT = 0.3, 0.02, 10.0
@@ -96,19 +99,35 @@ def plan_at_once(
     start, goal = plan.steps[before], np.asarray(plan.stages[-1].goal)
     at = guide.nearest(start.tip[:3, 3], inserted[before], inserted[before] + 2.0 * robot.active_length)
     problem = Problem(start, robot, guide, wall, goal, at)
-    knots, length = problem.guess()
-    for margin, share in SCHEDULE:
-        knots, length = problem.solve(knots, length, margin, share)
-        steps = [start]
-        for command in problem.commands(knots, length):
-            steps.append(mover.move(steps[-1], command))
-            if steps[-1].body_clearance < settings.body_margin or steps[-1].disc_clearance < settings.disc_margin:
-                break
-        else:
-            error = float(np.linalg.norm(steps[-1].tip[:3, 3] - goal))
-            if error <= settings.goal_error_max:
-                return joined(plan, before, steps[1:], error, guide, watch, time.perf_counter() - begun)
+    guess, first_length = problem.guess()
+    for attempt in range(ATTEMPTS):
+        knots, length = shaken(guess, attempt), first_length
+        for margin, share in SCHEDULE:
+            knots, length = problem.solve(knots, length, margin, share)
+            steps = moved(mover, start, problem.commands(knots, length), settings)
+            error = np.inf if steps is None else float(np.linalg.norm(steps[-1].tip[:3, 3] - goal))
+            if steps is not None and error <= settings.goal_error_max:
+                return joined(plan, before, steps, error, guide, watch, time.perf_counter() - begun)
     return plan
+
+
+def shaken(knots: FloatArray, attempt: int) -> FloatArray:
+    """The bends to begin an attempt with: the first one as they are, later ones with smooth noise of its own."""
+    if attempt == 0:
+        return knots
+    noise = gaussian_filter1d(np.random.default_rng(attempt).normal(size=knots.shape), NOISE_WIDTH, axis=0)
+    noise[0] = 0.0  # the step from which it begins is what it is
+    return np.asarray(knots + NOISE / noise.std() * noise)
+
+
+def moved(mover: Mover, start: Step, commands: list[Command], settings: PlannerSettings) -> list[Step] | None:
+    """The steps of commands; None once one of them collides."""
+    steps: list[Step] = []
+    for command in commands:
+        steps.append(mover.move(steps[-1] if steps else start, command))
+        if steps[-1].body_clearance < settings.body_margin or steps[-1].disc_clearance < settings.disc_margin:
+            return None
+    return steps
 
 
 def joined(

@@ -34,7 +34,7 @@ def reach(
     hu_max: HuMax = None,
     rng_seed: RngSeed = None,
     case_id: CaseId = None,
-    time_budget: Annotated[float | None, typer.Option("--time-budget", help="Seconds for each branch [4 by kinematics].")] = None,
+    time_budget: Annotated[float | None, typer.Option("--time-budget", help="Seconds of sampling per branch [no limit].")] = None,
     output: Output = Path("reach"),
     force: Force = False,
     no_recording: NoRecording = False,

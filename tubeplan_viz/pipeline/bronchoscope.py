@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -82,7 +82,7 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
     watch = Stopwatch(options.notify)
     with RunFolder(target, force=options.force) as folder:
         given = load_airway(case, watch)
-        goal = resolve_target(case, given.airway)
+        goal = resolve_target(case, given.airway, given.lumen.warnings)
         simulator = make_simulator(given.airway, given.entrance, case.robot) if case.method == "dynamic" else None
         warnings = list(given.lumen.warnings)
         if given.entrance.offset > 0.0:
@@ -157,13 +157,14 @@ def load_airway(case: BronchoscopeCase, watch: Stopwatch) -> Airway:
     return Airway(lumen=lumen, tree=tree, airway=airway, entrance=entrance)
 
 
-def resolve_target(case: BronchoscopeCase, airway: AirwayTree) -> Target:
+def resolve_target(case: BronchoscopeCase, airway: AirwayTree, warnings: Sequence[str] = ()) -> Target:
     """The place that a case asks for.
 
     Raises
     ------
     CaseError
-        If it asks for none or for two, or for a place that is none of the airway's.
+        If it asks for none or for two, or for a place that is none of the airway's; with what was told of the lumen while it
+        was read (`warnings`), since a part that was left out may be the one that is meant.
     """
     if (case.goal is None) == (case.lesion is None):
         names = ", ".join(branch.name for branch in airway.branches[1:9])
@@ -175,7 +176,12 @@ def resolve_target(case: BronchoscopeCase, airway: AirwayTree) -> Target:
         return lesion_target(airway, np.array(case.lesion), case.robot)
     if isinstance(case.goal, str):
         return branch_target(airway, case.goal, case.robot)
-    return point_target(airway, np.array(case.goal), case.robot)
+    try:
+        return point_target(airway, np.array(case.goal), case.robot)
+    except CaseError as fault:
+        if not warnings:
+            raise
+        raise CaseError(f"{fault} (of the airway: {'; '.join(warnings)})") from None
 
 
 def follow(
@@ -244,7 +250,6 @@ def path_plan(case: BronchoscopeCase, given: Airway, goal: Target, way: Way) -> 
 def plan_details(case: BronchoscopeCase, given: Airway, goal: Target, way: Way, off: float) -> dict[str, Any]:
     """Route, stages, steps and tree for result.json."""
     plan, branches = way.plan, given.airway.branches
-    forces = [float(step.forces.max()) if len(step.forces) else 0.0 for step in plan.steps]
     return {
         "robot": {
             "name": case.robot.name,
@@ -288,12 +293,7 @@ def plan_details(case: BronchoscopeCase, given: Airway, goal: Target, way: Way, 
             for stage, tally in zip(plan.stages, plan.tallies, strict=True)
         ],
         "steps": [step_details(k, step, plan) for k, step in enumerate(plan.steps)],
-        "contacts": {
-            "most": max(len(step.contacts) for step in plan.steps),
-            "largest_force_n": max(forces),
-            "at_end": len(plan.steps[-1].contacts),
-            "disc_brushes": sum(step.disc_clearance < 0.0 for step in plan.steps),
-        },
+        "contacts": contact_details(plan),
         "tree": {
             "poses": len(plan.nodes),
             "collided": sum(not node.accepted for node in plan.nodes),
@@ -313,6 +313,21 @@ ASSUMPTIONS = {
     "dynamic": "Links, motors, gravity and contact with the wall are simulated; the body leans on the wall, only the front disc "
     "may not meet it.",
 }
+
+
+def contact_details(plan: RobotPlan) -> dict[str, Any]:
+    """How the robot touches the wall while it rests after its steps, and where it presses most."""
+    forces = [float(step.forces.max(initial=0.0)) for step in plan.steps]
+    worst = int(np.argmax(forces))
+    touching = forces[worst] > 0.0
+    return {
+        "most": max(len(step.contacts) for step in plan.steps),
+        "largest_force_n": forces[worst],
+        "largest_force_step": worst if touching else None,
+        "largest_force_mm": plan.steps[worst].contacts[int(np.argmax(plan.steps[worst].forces))] if touching else None,
+        "at_end": len(plan.steps[-1].contacts),
+        "disc_brushes": sum(step.disc_clearance < 0.0 for step in plan.steps),
+    }
 
 
 def step_details(number: int, step: Step, plan: RobotPlan) -> dict[str, Any]:

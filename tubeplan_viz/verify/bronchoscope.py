@@ -26,6 +26,8 @@ SAME_MM = 1e-4  # states are written with six decimals
 SPACING_MM = 1.0
 # The planner turns the bend in steps of at most 1 mm of push and 0.12 rad, each taken at its middle.
 INTEGRATED_MM = 0.05
+# A contact is told midway between the robot and the plane that stands for the wall there; both differ by the skin and the lean.
+CONTACT_MM = 0.35
 LEAN_MM = {"kinematic": 0.0, "dynamic": 0.3}
 COMMAND = ("phi_proximal_deg", "theta_proximal_deg", "phi_distal_deg", "theta_distal_deg", "push_mm")
 
@@ -49,6 +51,7 @@ def check_bronchoscope(folder: Path, result: Mapping[str, Any], lumen: Lumen) ->
         yield from check_states(result, states)
         yield from check_body(result, states, lumen)
     yield from check_disc(result, lumen)
+    yield from check_contacts(result, lumen)
     yield from check_track(result)
     if result["planner"]["method"] == "kinematic":
         yield from check_motion(result)
@@ -199,6 +202,21 @@ def check_disc(result: Mapping[str, Any], lumen: Lumen) -> Iterator[Check]:
         found=f"{least[-1]:.3f} mm",
         expected="0 or more",
         text="After the last step the front disc does not cut the wall.",
+    )
+
+
+def check_contacts(result: Mapping[str, Any], lumen: Lumen) -> Iterator[Check]:
+    """The stated contacts lie on the wall, and the largest force is that of the steps."""
+    steps, stated = result["details"]["steps"], result["details"]["contacts"]["largest_force_n"]
+    largest = max((max(step["forces_n"], default=0.0) for step in steps), default=0.0)
+    places = np.concatenate([np.array(step["contacts_mm"], float).reshape(-1, 3) for step in steps])
+    off = float(np.abs(lumen.clearance(places, on_surface=SAME_MM)[0]).max()) if len(places) else 0.0
+    yield Check(
+        name="contacts",
+        ok=bool(abs(stated - largest) <= 1e-9 and off <= CONTACT_MM),
+        found=f"{stated:.4f} N, {len(places)} places up to {off:.3f} mm from the wall",
+        expected=f"{largest:.4f} N, places within {CONTACT_MM:g} mm of the wall",
+        text="The contacts of all steps lie on the wall, and the largest force is the largest of theirs.",
     )
 
 
