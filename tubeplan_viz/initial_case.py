@@ -28,7 +28,7 @@ MEANINGS = {
     "anatomy": "airway, urinary, vessel or generic: limits and seed of region growing",
     "connectivity": "6 or 26 neighbours of a voxel",
     "mesh_unit": "unit of the mesh file",
-    "method": "feature_iteration (Dai et al. 2024) or optimal (proved)",
+    "method": "optimal (largest clearance, proved) or feature_iteration (Dai et al. 2024)",
     "rng_seed": "seed of all randomness",
     "closed_ends": "true: end caps count as wall",
     "start": "a label of the list above, or [x, y, z] in mm",

@@ -25,7 +25,7 @@ SEEDS = 12
 QUICK_SEEDS = 2
 ROUNDS_ALLOWED = 150
 TABLE = "Dai 2024, table 2"
-SETTINGS = TubeSettings(centerline=CenterlineSettings(step=0.8))
+SETTINGS = TubeSettings(method="feature_iteration", centerline=CenterlineSettings(step=0.8))
 CYLINDER_1 = Limits(curvature_max=0.100, clearance_min=1.5)
 CYLINDER_2 = Limits(curvature_max=0.100, clearance_min=6.0)
 

@@ -30,7 +30,7 @@ from tubeplan_viz.tube import RefineSettings, TubeProblem, TubeSettings, conclud
 
 # Table 1, row renal: section radius 1.2 mm, least bend radius 8 mm, extrema move faster.
 RENAL_LIMITS = Limits(curvature_max=0.125, clearance_min=1.2)
-RENAL_SETTINGS = TubeSettings(refine=RefineSettings(sigma_extremum=0.003))
+RENAL_SETTINGS = TubeSettings(method="feature_iteration", refine=RefineSettings(sigma_extremum=0.003))
 # A ureter narrower than the endoscope never meets the limits and uses up all rounds: twice the largest number printed.
 NARROW_SETTINGS = replace(RENAL_SETTINGS, refine=replace(RENAL_SETTINGS.refine, max_rounds=88))
 CALYCES = {"upper": "upper 1", "middle": "middle 1", "lower": "lower 1"}

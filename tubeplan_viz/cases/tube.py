@@ -40,7 +40,7 @@ class PlannerCase:
     """Table ``[planner]``: which planner, from where to where, and what governs its run."""
 
     name: str = "tube"
-    method: str = "feature_iteration"
+    method: str = "optimal"
     start: Place | None = None
     goal: Place | None = None
     rng_seed: int = 0

@@ -49,7 +49,7 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
         "planner",
         "method",
         str,
-        typer.Option("--method", help="feature_iteration (Dai et al. 2024) or optimal (proved)."),
+        typer.Option("--method", help="optimal (largest clearance, proved) or feature_iteration (Dai et al. 2024) [optimal]."),
     ),
     "curvature_max": ("limits", "curvature_max", float, typer.Option("--curvature-max", help="Largest curvature, 1/mm [0.125].")),
     "clearance_min": (
@@ -73,7 +73,7 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
         "tube",
         "objective",
         str,
-        typer.Option("--objective", help="What is best for --method optimal: clearance, length or curvature."),
+        typer.Option("--objective", help="What is best for --method optimal: clearance, length or curvature [clearance]."),
     ),
     "scans": (
         "tube",

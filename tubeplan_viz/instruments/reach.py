@@ -267,7 +267,7 @@ class Reach:
             start=self._start,
             goal=self._target.point,
             limits=limits,
-            settings=self._settings.tube,
+            settings=replace(self._settings.tube, method="feature_iteration"),
         )
         *_, last = tube_rounds(problem)
         return last.curve

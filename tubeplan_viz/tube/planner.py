@@ -25,14 +25,14 @@ from tubeplan_viz.tube.passage import OptimalSettings, Proposal, passage_of
 from tubeplan_viz.tube.refine import RefineSettings, Round, first_features, refine
 from tubeplan_viz.tube.slices import SliceClearance
 
-METHODS = ("feature_iteration", "optimal")
+METHODS = ("optimal", "feature_iteration")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TubeSettings:
     """Settings of every step of the tube planner."""
 
-    method: str = "feature_iteration"
+    method: str = "optimal"
     closed_ends: bool = False
     centerline: CenterlineSettings = field(default_factory=CenterlineSettings)
     features: FeatureSettings = field(default_factory=FeatureSettings)

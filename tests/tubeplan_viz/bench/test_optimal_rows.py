@@ -24,4 +24,4 @@ def test_a_benchmark_without_methods_refuses_the_option(capsys: pytest.CaptureFi
     assert status_of(["bench", "centerline", "--method", "optimal"]) == 2
     assert "has no --method optimal" in capsys.readouterr().err
     assert status_of(["bench", "paper", "--method", "magic"]) == 2
-    assert "expected feature_iteration or optimal" in capsys.readouterr().err
+    assert "expected optimal or feature_iteration" in capsys.readouterr().err

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from tubeplan_viz.bench.models import narrow_neck
-from tubeplan_viz.bench.renal import RENAL_LIMITS, case_rows, orifice_and_calyces, renal_rows, unflagged_length
+from tubeplan_viz.bench.renal import RENAL_LIMITS, RENAL_SETTINGS, case_rows, orifice_and_calyces, renal_rows, unflagged_length
 from tubeplan_viz.centerline import Endpoint
-from tubeplan_viz.tube import TubeSettings, conclude, pose_problem, tube_steps
+from tubeplan_viz.tube import conclude, pose_problem, tube_steps
 
 
 @pytest.fixture(scope="module")
 def neck() -> tuple[Any, Any]:
     """A neck of 1 mm radius planned with the renal limits."""
     model = narrow_neck()
-    problem = pose_problem(model.surface, model.start, model.goal, RENAL_LIMITS, TubeSettings())
+    problem = pose_problem(model.surface, model.start, model.goal, RENAL_LIMITS, RENAL_SETTINGS)
     return problem, conclude(problem, list(tube_steps(problem)))
 
 

@@ -137,7 +137,7 @@ def test_every_default_stands_in_the_resolved_case(tmp_path: Path) -> None:
     assert table["limits"] == {"curvature_max": 0.125, "clearance_min": 1.2}
     assert table["tube"]["sigma"] == 0.001
     assert table["tube"]["centerline_step_mm"] == 1.0
-    assert table["planner"]["method"] == "feature_iteration"
+    assert table["planner"]["method"] == "optimal"
 
 
 def test_paths_are_relative_to_the_case_file_wherever_it_stands(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def run(series: Path, process: Call, tmp_path_factory: pytest.TempPathFactory) -
     done = process(
         "plan", "tube", "--ct", series, "--anatomy", "generic", "--seed-point", "1,4,120", "--hu-min", "170",
         "--start", "E1", "--goal", "E2", "--clearance-min", "3.85", "--case-id", "case-7", "--no-recording", "--no-report",
-        "-o", "run", cwd=folder,
+        "--method", "feature_iteration", "-o", "run", cwd=folder,
     )  # fmt: skip
     assert done.status == 3, done.err
     return folder / "run"

@@ -15,7 +15,8 @@ import pytest
 @pytest.fixture
 def run(command: str, meshes: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """A run that would take very long, past the beginning of its recording."""
-    arguments = ["--curvature-max", "0.03", "--clearance-min", "2.9", "--max-rounds", "1000000", "--quiet"]
+    arguments = ["--curvature-max", "0.03", "--clearance-min", "2.9", "--quiet"]
+    arguments += ["--method", "feature_iteration", "--max-rounds", "1000000"]
     ends = ["--start", "E1", "--goal", "E2", "-o", str(tmp_path / "run")]
     call = [command, "plan", "tube", "--mesh", str(meshes / "variant.ply"), *ends, *arguments]
     # Where the tests themselves run in the background, Ctrl-C is ignored and children inherit that.

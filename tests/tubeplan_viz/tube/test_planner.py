@@ -175,5 +175,5 @@ def test_closed_ends_count_the_caps_as_wall(tube: Model) -> None:
 
 
 def test_an_unknown_method_is_refused() -> None:
-    with pytest.raises(CaseError, match="no method 'magic'; expected feature_iteration"):
+    with pytest.raises(CaseError, match="no method 'magic'; expected optimal or feature_iteration"):
         TubeSettings(method="magic")
