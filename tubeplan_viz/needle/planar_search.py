@@ -22,7 +22,7 @@ from tubeplan_viz.needle.planar_shapes import PlanarProblem, sides_of
 WITHIN = {0: 0.0, 1: 1e-6, 2: 1e-4, 3: 8e-4}
 FIRST = {1: 64, 2: 16, 3: 8}  # cells along each free length at the start, by how many there are
 REACH = 1.5  # times the distance of the target: no piece is longer
-BLIND = 0.7  # mm, half width below which cells are given up that no derivative bounds: all but paths that end across
+BLIND = 0.014  # radius of the arcs, half width below which cells are given up that no derivative bounds: their paths end across
 FINEST = 0.01  # mm, half width of the smallest cells
 MOST = 150_000  # cells appraised for one form
 SEEDS = 2  # paths of simpler forms that are finished first
@@ -86,7 +86,7 @@ def search_form(problem: PlanarProblem, scene: FlatScene, form: str, simpler: tu
             if np.isfinite(made.cost) and (best is None or made.cost < best.cost):
                 best = made
         left = seen.least < enough(best)
-        if cells.half.max(initial=0.0) < BLIND:
+        if cells.half.max(initial=0.0) < BLIND * problem.settings.radius:
             given_up = min(given_up, float(seen.least[left & seen.blind].min(initial=np.inf)))
             left &= ~seen.blind
         unsettled = float(seen.least[left].min(initial=np.inf))
