@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -17,7 +18,7 @@ from tubeplan_viz.recording.anatomy import log_wall
 from tubeplan_viz.recording.blueprint import BACKGROUND, PLAY_FPS, scene_axes, viewpoint
 from tubeplan_viz.recording.plans import CURVE_SPACING_MM, FLAG_RADIUS, Track, result_flags, result_track, worst_label
 from tubeplan_viz.recording.sink import Sink
-from tubeplan_viz.result import ComparedRun, Comparison
+from tubeplan_viz.result import STRAIGHT_MM, ComparedRun, Comparison
 
 SHARE = "share"
 SHARE_TICKS = 1000  # #250 is a quarter of the path
@@ -156,13 +157,19 @@ def summary(comparison: Comparison) -> str:
     for row in document["rows"]:
         unit = f", {row['unit']}"
         cells = [
-            "" if value is None else f"**{value:.{row['digits']}f}**" if k in row["best"] else f"{value:.{row['digits']}f}"
+            "" if value is None else f"**{shown(row, value)}**" if k in row["best"] else shown(row, value)
             for k, value in enumerate(row["values"])
         ]
         lines.append(f"| {row['title']}{unit} | {row['better'] or ''} | " + " | ".join(cells) + " |")
     overlay = "" if document["overlay"]["drawn"] else f"\n\nNot overlaid: {document['overlay']['reason']}."
     notes = "".join(f"\n\n{note}" for note in document["notes"])
     return "\n".join(lines) + overlay + notes + f"\n\n*{at.NOTICE}*"
+
+
+def shown(row: Mapping[str, Any], value: float) -> str:
+    """One figure of the difference table; a bend of more than a metre of radius is none."""
+    straight = row["key"] == "bend_radius_mm" and value >= STRAIGHT_MM
+    return "straight" if straight else f"{value:.{row['digits']}f}"
 
 
 def _layout(comparison: Comparison) -> rrb.Blueprint:

@@ -60,6 +60,7 @@ class RigidRecording(RunRecording):
         super().__init__(sink)
         self._case_id, self._light = case_id, light
         self._seen = np.zeros((1, 3))
+        self._walked = self._ranked = False
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, connect: str | None = None, light: bool = False) -> Self:
@@ -111,7 +112,13 @@ class RigidRecording(RunRecording):
                 pose = posed(plan.problem.instrument, b[None], unit(b - a)[None], path.roll)
                 self._sink.log(f"{NODES}/{k}", capsules(pose, plan.problem.instrument), static=True)
             self._log_walk(plan, result, path.roll)
-            self._log_pareto(result)
+            self._walked = True
+            self._ranked = self._log_pareto(result)
+        elif not self._light:
+            # Without a way the planes stand at the lesion, where a reader sees what lies before it.
+            self._sink.at(at.ARC_LENGTH, 0)
+            for plane in PLANES:
+                self._sink.log(f"{at.CT}/{plane}", plane_picture(plan.problem, plan.problem.goal, plane))
         document = rr.TextDocument(summary(self._case_id, result), media_type=rr.MediaType.MARKDOWN)
         self._sink.log(at.SUMMARY, document, static=True)
         self._sink.flush()
@@ -167,7 +174,8 @@ class RigidRecording(RunRecording):
                     self._sink.log(f"{at.CT}/{plane}", plane_picture(problem, points[k], plane))
         self._sink.flush()
 
-    def _log_pareto(self, result: Mapping[str, Any]) -> None:
+    def _log_pareto(self, result: Mapping[str, Any]) -> bool:
+        """The ranked paths that have a distance to the brain; whether there are any."""
         import rerun as rr
 
         rows = [row for row in result["details"]["candidates"] if row["brain_mm"] is not None]
@@ -175,6 +183,7 @@ class RigidRecording(RunRecording):
             points = [(row["brain_mm"], -row["tissue_voxels"] / 20.0) for row in rows]
             colors = [at.PATH if row["pareto"] else (110, 116, 130) for row in rows]
             self._sink.log(PARETO, rr.Points2D(points, colors=colors, radii=rr.Radius.ui_points(2.5)), static=True)
+        return bool(rows)
 
     def _blueprint(self) -> Any:
         import rerun as rr
@@ -203,20 +212,22 @@ class RigidRecording(RunRecording):
             eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=middle, eye_up=(0.0, 0.0, 1.0)),
             overrides={f"{ANATOMY}/brain": rr.Points3D.from_fields(radii=0.15)},
         )
-        left: Any = rrb.Tabs(scene, corridor, active_tab=0)
+        left: Any = rrb.Tabs(scene, corridor, active_tab=0) if self._walked else scene
         if not self._light:
             planes = [rrb.Spatial2DView(origin=f"{at.CT}/{plane}", name=f"CT and labels, {plane}") for plane in PLANES]
             left = rrb.Vertical(left, rrb.Horizontal(*planes), row_shares=[6, 4])
-        right = rrb.Vertical(
-            rrb.TimeSeriesView(origin=DISTANCES, name="Instrument to each structure, mm, along the path"),
-            rrb.Spatial2DView(origin=PARETO, name="Paths: to the brain (right), tissue (down); Pareto set bright"),
-            rrb.Tabs(
-                rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
-                rrb.TextLogView(origin=at.DECISIONS, name="Decisions"),
-                active_tab=0,
-            ),
-            row_shares=[3, 2, 3],
+        told = rrb.Tabs(
+            rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
+            rrb.TextLogView(origin=at.DECISIONS, name="Decisions"),
+            active_tab=0,
         )
+        # A view that could only say "no data" is left out.
+        right: Any = told
+        if self._walked:
+            distances = rrb.TimeSeriesView(origin=DISTANCES, name="Instrument to each structure, mm, along the path")
+            ranked = rrb.Spatial2DView(origin=PARETO, name="Paths: to the brain (right), tissue (down); Pareto set bright")
+            views = [distances, *([ranked] if self._ranked else []), told]
+            right = rrb.Vertical(*views, row_shares=[3, 2, 3] if self._ranked else [3, 3])
         return rrb.Blueprint(
             rrb.Horizontal(left, right, column_shares=[3, 2]),
             rrb.TopPanel(state="collapsed"),
