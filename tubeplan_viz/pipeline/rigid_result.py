@@ -208,15 +208,11 @@ def refusal(plan: RigidPlan, tried: Sequence[Relief]) -> str:
         else f"{now.free} directions are free at the lesion, but none can be reached from the nostril"
     )
     opening = [change.change for change in changes if change.starts]
-    help_ = (
-        f"a straight way opens with {' or with '.join(opening[:3])}"
-        if opening
-        else "none of the changes tried opens a straight way"
-    )
+    least = f"A straight way opens with {opening[0]}" if opening else "None of the changes tried opens a straight way"
     return (
         f"no way in for this instrument from any of {len(found.feasible)} places of the {plan.problem.side} entry region: "
-        f"{at_goal}; straight pushes meet {told}; {names[worst].replace('_', ' ')} stands in the way nearest to the lesion at "
-        f"({middle[0]:.1f}, {middle[1]:.1f}, {middle[2]:.1f}) mm; {help_}"
+        f"{at_goal}. Straight pushes meet {told}; {names[worst].replace('_', ' ')} stands in the way nearest to the lesion at "
+        f"({middle[0]:.1f}, {middle[1]:.1f}, {middle[2]:.1f}) mm. {least}"
     )
 
 
