@@ -19,6 +19,8 @@ ICONS = {"feasible": "yes", "flagged": "flag", "impossible": "no"}
 WORDS = {"feasible": "Holds", "flagged": "Flagged", "impossible": "Impossible"}
 TITLES = {"ok": "Every instrument reaches every target", "infeasible": "No instrument reaches any target"}
 CEILING_PLACES = {"start": "at the start itself", "goal": "at the target itself"}
+# Both columns of labels beside the still picture hold so many.
+MOST_LABELS = 30
 PARTS = {"shaft": "", "tip": "rigid tip", "ceiling": "at most"}
 
 
@@ -222,7 +224,7 @@ def _still(document: Mapping[str, Any], surface: Surface) -> Markup:
     mesh = light_mesh(surface)
     view = choose_view(mesh.vertices, str(document["frame"]))
     words = f"The wall of the lumen with the start, {len(document['targets'])} targets and a path to each that has one."
-    return still_picture(mesh, np.empty((0, 3)), (), tuple(labels), view, words, lines=tuple(lines))
+    return still_picture(mesh, np.empty((0, 3)), (), tuple(labels), view, words, lines=tuple(lines), most=MOST_LABELS)
 
 
 def _catalogue(source: Source) -> Fold:

@@ -76,6 +76,7 @@ def still_picture(
     words: str,
     *,
     lines: Sequence[tuple[str, FloatArray]] = (),
+    most: int = 8,
 ) -> Markup:
     """The scene as one <svg>.
 
@@ -91,6 +92,8 @@ def still_picture(
         What the picture shows, for those who cannot see it.
     lines : sequence of (class, (n, 3) float array in mm)
         Further paths, each with its class of the style sheet.
+    most : int
+        Labels that are shown, those of least rank.
     """
     toward = _unit(view.toward)
     right = _unit(np.cross(view.up, toward))
@@ -117,7 +120,7 @@ def still_picture(
         parts += [_line(line[first : last + 1], f"still-flag {kind}") for kind, first, last in stretches if last > first]
         parts += [tag("circle", class_="end", cx=float(p[0]), cy=float(p[1]), r=4.5) for p in (line[0], line[-1])]
     parts += [_line(place(line), name) for name, line in lines]
-    parts += _labels(labels, place)
+    parts += _labels(sorted(labels, key=lambda label: label.rank)[:most], place)
     return Markup('<svg class="still" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
         WIDE, TALL, words, Markup("").join(parts)
     )
@@ -134,11 +137,10 @@ def _labels(labels: Sequence[Label], place: object) -> list[Markup]:
     """Labels in two columns at the sides, each side from top to bottom without overlap, with leaders."""
     assert callable(place)
     parts: list[Markup] = []
-    chosen = sorted(labels, key=lambda label: label.rank)[:8]
-    spots = {id(label): place(label.point[None])[0] for label in chosen}
+    spots = {id(label): place(label.point[None])[0] for label in labels}
     middle = float(np.median([spot[0] for spot in spots.values()])) if spots else 0.0
     for side in ("left", "right"):
-        mine = [label for label in chosen if (spots[id(label)][0] <= middle) == (side == "left")]
+        mine = [label for label in labels if (spots[id(label)][0] <= middle) == (side == "left")]
         mine.sort(key=lambda label: float(spots[id(label)][1]))
         heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 74.0)
         for label, height in zip(mine, heights, strict=True):

@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +19,9 @@ from scipy.interpolate import BSpline, splprep
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import TubeplanError
+from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
+from tubeplan_viz.bench.anatomies import anatomies
 from tubeplan_viz.bench.centerline_methods import delaunay_chains
 from tubeplan_viz.bench.peers import VMTK_RUNS_ON, run_vmtk, vmtk_python
 from tubeplan_viz.bench.rows import Row
@@ -42,6 +45,25 @@ TIE = 0.01
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Ways:
+    """A tree of tubes with the ways that are compared in it.
+
+    Attributes
+    ----------
+    name : str
+    surface : Surface
+    root : (3,) float array, mm
+    targets : mapping of str to (3,) float array, mm
+        By their names.
+    """
+
+    name: str
+    surface: Surface
+    root: FloatArray
+    targets: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Peer:
     """The best smoothing spline within the curvature limit.
 
@@ -61,40 +83,55 @@ class Peer:
 
 
 def vmtk_line(*, quick: bool, notify: Notify) -> list[Row]:
-    """Least clearance at equal curvature on a renal and an airway tree, target by target.
+    """Least clearance at equal curvature on a renal and an airway tree and on the data sets at hand, target by target.
 
     Parameters
     ----------
     quick : bool
-        The renal tree only.
+        The generated renal tree only.
     notify : Notify
     """
     rows: list[Row] = []
-    trees = [renal_tree()] if quick else [renal_tree(), airway_tree(generations=2, voxel=0.8)]
-    for tree in trees:
-        notify(tree.name, 0, 0)
-        rows += tree_rows(tree)
+    for ways in compared_ways(quick=quick):
+        notify(ways.name, 0, 0)
+        rows += tree_rows(ways)
     return rows
 
 
-def tree_rows(tree: TreeModel) -> list[Row]:
+def compared_ways(*, quick: bool) -> Iterator[Ways]:
+    """The generated trees, then every data set at hand."""
+    for model in [renal_tree()] if quick else [renal_tree(), airway_tree(generations=2, voxel=0.8)]:
+        yield ways_of(model)
+    if quick:
+        return
+    for anatomy in anatomies():
+        yield Ways(name=anatomy.name, surface=anatomy.tree.surface, root=anatomy.start, targets=dict(anatomy.goals))
+
+
+def ways_of(model: TreeModel) -> Ways:
+    """From the root of a generated tree to all its tips."""
+    names = [f"target {number + 1} of {len(model.targets)}" for number in range(len(model.targets))]
+    return Ways(name=model.name, surface=model.surface, root=model.root, targets=dict(zip(names, model.targets, strict=True)))
+
+
+def tree_rows(ways: Ways) -> list[Row]:
     """Rows of one tree."""
-    wall = WallDistance(tree.surface)
-    lines, source = peer_lines(tree, wall)
-    graph = voronoi_graph(tree.surface, wall)
+    wall = WallDistance(ways.surface)
+    lines, source = peer_lines(ways, wall)
+    graph = voronoi_graph(ways.surface, wall)
     rows = []
-    for number, (line, goal) in enumerate(zip(lines, tree.targets, strict=True)):
-        case = f"{tree.name}, target {number + 1} of {len(lines)}"
-        peers = smoothed(line, tree.root, goal, wall)
+    for line, (name, goal) in zip(lines, ways.targets.items(), strict=True):
+        case = f"{ways.name}, {name}"
+        peers = smoothed(line, ways.root, goal, wall)
         if not peers:
             rows.append(Row(case=case, figure="smoothing splines within the curvature limit", ours=0.0, source=source))
             continue
-        middle = trace_centerline(graph, wall, tree.root, goal)
+        middle = trace_centerline(graph, wall, ways.root, goal)
         if middle is None:
             raise TubeplanError(f"{case}: no centerline was found, expected one; check the tree's mesh")
-        for name, peer in peers.items():
+        for kind, peer in peers.items():
             passage = Passage(wall=wall, line=middle.points, limits=limits_of(peer))
-            rows += target_rows(f"{case}, {name}", passage, peer, source)
+            rows += target_rows(f"{case}, {kind}", passage, peer, source)
     return rows
 
 
@@ -110,25 +147,30 @@ def target_rows(case: str, passage: Passage, peer: Peer, source: str) -> list[Ro
         raise TubeplanError(f"{case}: the search ended without a proof, expected one")
     ends = float(passage.wall.distance(passage.line[[0, -1]]).min())
     bound, kept = proved.clearance.bound, proved.curvature <= peer.curvature
-    at_most = peer.least >= ends - TIE
-    beats = bound > peer.least if not at_most else bound >= ends - TIE
+    # A spline that leaves the lumen is no path, and at its curvature there may be none: ours has to be one, at whatever it needs.
+    if peer.least <= 0.0:
+        holds, target = bound > 0.0, f"over 0: the spline leaves the lumen at {peer.curvature:.4f} 1/mm"
+    elif peer.least >= ends - TIE:
+        holds, target = kept and bound >= ends - TIE, f"the ends' own {ends:.3f} mm, which both have"
+    else:
+        holds, target = kept and bound > peer.least, "more"
     return [
         Row(
             case=case,
-            figure=f"least clearance mm at {peer.curvature:.4f} 1/mm, proved",
+            figure=f"least clearance mm at {proved.curvature if peer.least <= 0.0 else peer.curvature:.4f} 1/mm, proved",
             ours=bound,
             reference=peer.least,
             source=f"{source}, sampled, smoothed by {peer.smoothing:.2f} mm",
-            target="more" if not at_most else f"the ends' own {ends:.3f} mm, which both have",
-            holds=bool(beats and kept),
+            target=target,
+            holds=bool(holds),
         ),
         Row(case=case, figure="mean clearance mm", ours=proved.mean, reference=peer.mean, source=source),
     ]
 
 
-def peer_lines(tree: TreeModel, wall: WallDistance) -> tuple[list[FloatArray], str]:
+def peer_lines(tree: Ways, wall: WallDistance) -> tuple[list[FloatArray], str]:
     """The peer's line from the root to each target, (n, 3) mm, and what it is."""
-    ends = np.concatenate([tree.root[None], tree.targets])
+    ends = np.array([tree.root, *tree.targets.values()])
     python = vmtk_python()
     if python is None:
         chains = delaunay_chains(tree.surface, wall, ends)
@@ -155,7 +197,9 @@ def smoothed(line: FloatArray, start: FloatArray, goal: FloatArray, wall: WallDi
         return {}
     # Of equal clearances, to a micrometre, the straighter path.
     best = max(found, key=lambda peer: (round(peer.least, 3), -peer.curvature))
-    straightest = min((peer for peer in found if peer.least >= 0.5 * best.least), key=lambda peer: peer.curvature)
+    # Where even the best leaves the lumen, it alone stands for the peer.
+    enough = min(best.least, 0.5 * best.least)
+    straightest = min((peer for peer in found if peer.least >= enough), key=lambda peer: peer.curvature)
     return {"widest spline": best} | ({} if straightest is best else {"straightest spline": straightest})
 
 

@@ -21,6 +21,8 @@ TREE = "/case/instruments"
 # Bluish green, orange and reddish purple (Okabe and Ito): told apart with any colour vision, and named in the table.
 COLORS: dict[str, at.Color] = {"feasible": (0, 158, 115), "flagged": (230, 159, 0), "impossible": (204, 121, 167)}
 SIGNS = {"feasible": "holds", "flagged": "flagged", "impossible": "impossible"}
+# Of the table, whose columns have to be narrow: ten targets stand side by side. No signs: some of them end the viewer.
+MARKS = {"feasible": "yes", "flagged": "flag", "impossible": "no"}
 
 
 def log_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> None:
@@ -98,9 +100,10 @@ def table(document: Mapping[str, Any]) -> str:
     labels = [target["label"] for target in document["targets"]]
     lines = ["## Instruments and targets", "| # | instrument | " + " | ".join(labels) + " |", "|--|--|" + "--|" * len(labels)]
     for number, (one, row) in enumerate(zip(document["instruments"], document["cells"], strict=True)):
-        cells = [SIGNS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f}") for cell in row]
+        cells = [MARKS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f}") for cell in row]
         lines.append(f"| {number} | {one['name']} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + f"\n\nMargins in mm. {document['rule']}\n\n*{at.NOTICE}*"
+    legend = ", ".join(f"{MARKS[verdict]}: {SIGNS[verdict]}" for verdict in MARKS)
+    return "\n".join(lines) + f"\n\n{legend}; margins in mm. {document['rule']}\n\n*{at.NOTICE}*"
 
 
 def layout(document: Mapping[str, Any]) -> rrb.Blueprint:
@@ -123,7 +126,7 @@ def layout(document: Mapping[str, Any]) -> rrb.Blueprint:
         row_shares=[1, 1],
     )
     return rrb.Blueprint(
-        rrb.Horizontal(scene, words, column_shares=[1, 1]),
+        rrb.Horizontal(scene, words, column_shares=[2, 3]),
         rrb.TopPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
