@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,24 @@ import pytest
 import SimpleITK as sitk
 
 from segmentation.anatomy.nasal import shrink
+from segmentation.arrays import BoolArray
 from segmentation.errors import CaseError
 from segmentation.synthetic.nasal import NasalPhantom, NasalPhantomSettings, nasal_phantom
 from segmentation.volume import Volume
 from tubeplan_viz.cases.rigid import make_rigid_case, rigid_case_table
 from tubeplan_viz.cli.app import status_of
-from tubeplan_viz.rigid import CoupledInstrument, Problem, SearchSettings, make_problem, search
+from tubeplan_viz.rigid import (
+    CoupledInstrument,
+    Problem,
+    RigidPath,
+    SearchSettings,
+    Weights,
+    make_problem,
+    path_goals,
+    refined,
+    reliefs,
+    search,
+)
 from tubeplan_viz.verify import verify_run
 
 LESION = "11.6,3,27"
@@ -49,7 +62,8 @@ def test_every_path_found_is_free_by_the_exact_test(problem: Problem) -> None:
 
 def test_neither_roll_nor_shrinkage_makes_a_feasible_start_infeasible(phantom: NasalPhantom) -> None:
     straight = SearchSettings(rolls=1, nodes=0)
-    feasible, known = [], ()
+    feasible: list[BoolArray] = []
+    known: tuple[RigidPath, ...] = ()
     for amount in (0.0, 0.5, 1.0):
         scene = shrink(phantom.scene, amount, "left").scene
         made = make_problem(scene, "left", phantom.lesions["left"], instrument=CoupledInstrument())
@@ -73,6 +87,38 @@ def test_a_thinner_instrument_loses_no_straight_start(problem: Problem, phantom:
     # Another instrument has a ring of another width; the walls it adds are farther out than this one reaches.
     thin = search(made.judge(), made.starts, made.goal, settings)
     assert np.all(thin.feasible >= thick.feasible)
+
+
+def test_the_reliefs_name_what_opens_a_way_for_an_instrument_too_thick(problem: Problem) -> None:
+    thick = CoupledInstrument(scope_diameter=6.0, shaver_diameter=5.0, offset=6.5)
+    blocked = replace(problem, instrument=thick)
+    assert not search(blocked.judge(), blocked.starts, blocked.goal, SearchSettings(rolls=1, nodes=0)).feasible.any()
+    tried = list(reliefs(blocked, np.zeros(1), CoupledInstrument(offset=6.5)))
+    as_planned, thinner = tried[0], tried[1]
+    assert as_planned.change == ""
+    assert as_planned.free == as_planned.starts == 0
+    # Every direction of the coarse grid is blocked by something, and told by what.
+    assert sum(as_planned.against.values()) == as_planned.directions
+    assert "thinnest instruments (4 and 2.9 mm)" in thinner.change
+    assert thinner.free > 0
+    assert thinner.starts > 0
+    # What is set aside is in nobody's way any more; brain and orbits never are.
+    without = next(relief for relief in tried if relief.change == "the inferior turbinate set aside")
+    assert "turbinate_left" not in without.against
+    assert all("brain" not in relief.change and "orbit" not in relief.change for relief in tried)
+
+
+def test_refined_paths_are_no_worse_than_the_best_before_and_free(problem: Problem) -> None:
+    found = search(problem.judge(), problem.starts, problem.goal, SearchSettings(rolls=1, nodes=0))
+    goals = path_goals(problem, found.paths)
+    paths, better = refined(problem, found.paths, goals, Weights())
+    assert paths[: len(found.paths)] == found.paths
+    assert better[:, 0].max() >= goals[:, 0].max()
+    assert better[:, 4].min() <= goals[:, 4].min()
+    assert better[:, 5].min() <= goals[:, 5].min()
+    for path in paths[len(found.paths) :]:
+        label, _ = problem.judge(exact=True).push(path.nodes[:-1], path.nodes[1:], np.full(len(path.nodes) - 1, path.roll))
+        assert (label < 0).all()
 
 
 def test_a_side_that_is_missing_is_named(phantom: NasalPhantom) -> None:
