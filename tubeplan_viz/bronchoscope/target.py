@@ -14,6 +14,8 @@ from tubeplan_viz.plan import NoPathError
 
 # What a place beside the middle of a branch must leave free around the robot, mm; less than that no pose can be held.
 ROOM = 0.1
+# A place in the lumen further than this many inscribed radii from every centerline is in no branch of the tree.
+ASTRAY = 3.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,7 +76,8 @@ def point_target(airway: AirwayTree, point: FloatArray, robot: Robot) -> Target:
     Raises
     ------
     CaseError
-        If it lies outside the airway, or where the robot does not fit; the nearest reachable place is offered.
+        If it lies outside the airway, in a part that is not joined with it, or where the robot does not fit; the nearest
+        reachable place is offered.
     """
     here = "({:.1f}, {:.1f}, {:.1f}) mm".format(*point)
     clearance = float(airway.wall.clearance(point)[0])
@@ -83,7 +86,13 @@ def point_target(airway: AirwayTree, point: FloatArray, robot: Robot) -> Target:
             f"the target {here} lies {-clearance:.1f} mm outside the airway; the nearest reachable place is "
             f"{offer(airway, point, robot)}; give that as --goal, or the point as --lesion"
         )
-    number, depth, _ = airway.nearest_place(point)
+    number, depth, away = airway.nearest_place(point)
+    line = airway.branches[number].line
+    if away > ASTRAY * float(np.interp(depth, line.arc_length, line.radii)):
+        raise CaseError(
+            f"the target {here} lies in a part of the lumen that nothing joins with the airway at {airway.root.label}: the "
+            f"nearest reachable place is {offer(airway, point, robot)}; give that as --goal, or check the mesh for separate pieces"
+        )
     if clearance < robot.radius + ROOM or airway.wide_depth(number, robot.radius + ROOM) < depth:
         raise CaseError(
             f"at the target {here} the wall is {clearance:.1f} mm away, or the way there is narrower than the robot of "
