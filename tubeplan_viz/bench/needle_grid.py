@@ -18,8 +18,8 @@ from tubeplan_viz.needle.bodies import Sphere
 from tubeplan_viz.needle.planar_shapes import PlanarProblem, sides_of
 
 ANGLES, LENGTHS = 91, 40  # places of the grid: insertion angles, and lengths of each piece up to the length to beat
-ANGLES_ONLY = 20_000  # where the insertion angle alone is free
-SEEDS = 40  # places that are narrowed down, for each choice of bend sides
+ANGLES_ONLY = 4000  # where the insertion angle alone is free
+SEEDS = 30  # places that are narrowed down, for each choice of bend sides, of those that are clear and of those that are not
 ROUNDS, SHRINK = 22, 0.66  # of the narrowing: 0.66^22 of 3 mm is 0.0003 mm
 LACKING = 3.0  # mm that a place of the grid may lack, and what a lacking mm counts in mm of length
 WALK = 0.01  # mm between two places of the path that is walked again
@@ -107,7 +107,9 @@ def shortest_of_sides(ground: Ground, sides: tuple[int, ...], limit: float, rng:
         walks, given = made.take(kept), np.column_stack([given[rows[kept]], lengths[places[kept]]])
     length, gap = ended(ground, walks, sides)
     steps = np.array([turn] + [step] * (free - 1))
-    seeds = apart(given / steps, length - LACKING * np.minimum(gap, 0.0), limit)
+    # Of those that keep their distance and of those that may be near such ones, since the second are often shorter.
+    able, lacking = np.where(gap >= 0.0, length, np.inf), np.where(gap < 0.0, length - LACKING * gap, np.inf)
+    seeds = np.concatenate([apart(given / steps, merits, limit) for merits in (able, lacking)])
     return narrowed(ground, sides, given[seeds], steps, limit)
 
 
