@@ -91,7 +91,7 @@ def point_target(airway: AirwayTree, point: FloatArray, robot: Robot) -> Target:
     if away > ASTRAY * float(np.interp(depth, line.arc_length, line.radii)):
         raise CaseError(
             f"the target {here} lies in a part of the lumen that nothing joins with the airway at {airway.root.label}: the "
-            f"nearest reachable place is {offer(airway, point, robot)}; give that as --goal, or check the mesh for separate pieces"
+            f"nearest reachable place is {offer(airway, point, robot)}; give that as --goal, or check the mesh for other pieces"
         )
     if clearance < robot.radius + ROOM or airway.wide_depth(number, robot.radius + ROOM) < depth:
         raise CaseError(
