@@ -15,6 +15,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.synthetic import weibel_airway
+from tubeplan_viz.bench.airways import real_airway_rows
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance, airway_tree
 from tubeplan_viz.bronchoscope.kinematic import KinematicMover
@@ -51,7 +52,7 @@ def bronchoscope(*, quick: bool, notify: Notify) -> list[Row]:
     Parameters
     ----------
     quick : bool
-        Ten kinematic runs and two in the simulator in place of fifty each.
+        Ten kinematic runs and two in the simulator in place of fifty each, and no real airways.
     notify : Notify
     """
     rows = chain_rows(Robot())
@@ -61,6 +62,8 @@ def bronchoscope(*, quick: bool, notify: Notify) -> list[Row]:
     rows += route_rows(airway, target)
     rows += method_rows("kinematic", airway, target, runs, notify)
     rows += plain_rows(airway, target, runs, notify)
+    if not quick:
+        rows += real_airway_rows(notify)
     if find_spec("mujoco") is None:
         note = 'not installed: pip install "tubeplan[dynamics]"'
         return [*rows, Row(case="dynamic", figure="installed (0 no, 1 yes)", ours=0.0, source=note)]
