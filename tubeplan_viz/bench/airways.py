@@ -1,4 +1,4 @@
-"""The bronchoscope robot in real airways: every branch judged by kinematics, and some of those that are reached in the simulator."""
+"""The bronchoscope robot in real airways: every branch judged by kinematics, the deepest reached ends in the simulator too."""
 
 from __future__ import annotations
 
