@@ -50,6 +50,10 @@ def branch_measures(lumen: Lumen, branch: Branch, of: str) -> list[Measure]:
             "branch_diameter_mm",
             of=of,
         )
+    elif diameter > branch.length:
+        made += lacking(
+            "the branch is shorter than it is wide: its sections are those of the branching", "branch_diameter_mm", of=of
+        )
     else:
         made.append(Measure(key="branch_diameter_mm", of=of, value=diameter))
     if branch.parent < 0:

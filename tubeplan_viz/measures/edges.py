@@ -33,7 +33,7 @@ WINDOW_DARK_MM = 2.0  # an airway is grown to a limit near air's, which leaves a
 BEYOND_MM = (0.8, 2.4)  # outside the surface: past the blur of its edge, before the next organ
 INNER_LEVEL = 0.841345  # of a blurred straight edge, one deviation of the blur inside it
 BLUR_MM = (0.2, 1.2)  # deviations that scanners have
-AHEAD_MM = 1.5  # a papilla dents the lumen: blur fills the dent, and the surface may lie as far behind it
+AHEAD_SHARE = 0.8  # of the way back: a papilla dents the lumen, blur and noise fill the dent, and the surface lies far behind it
 BUNDLE_MM = 0.7  # radius of the lines that are averaged ahead of a point
 NEAR_MM = 1.5  # vertices of the surface around a place, whose profiles are averaged
 INSIDE_MM = 1.5  # from the wall: past its blur in a wide lumen, the middle of a narrow one
@@ -196,7 +196,7 @@ class CtSections:
         turn = 2.0 * np.pi * np.arange(6) / 6.0
         ring = np.cos(turn)[:, None] * plane[0] + np.sin(turn)[:, None] * plane[1]
         beside = np.vstack([np.zeros(3), 0.5 * BUNDLE_MM * ring, BUNDLE_MM * ring])
-        steps = np.arange(-AHEAD_MM, BEYOND_MM[1] + 0.5 * STEP_MM, STEP_MM)
+        steps = np.arange(-AHEAD_SHARE * known, BEYOND_MM[1] + 0.5 * STEP_MM, STEP_MM)
         inner = np.linspace(0.0, CORE_SHARE * known, 4)
         grey = self._on_line(point, heading, np.concatenate([inner, known + steps]), beside)
         core = self._core(grey[:4])

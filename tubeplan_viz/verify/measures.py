@@ -23,7 +23,10 @@ from tubeplan_viz.verify.verification import Check
 LIMITS = {"°": 3.0, "length": 1.0, "width": 0.8, "ball": 1.0}  # degrees, mm
 SHARE = 0.002  # of a path's own measures, which need no image
 PELVIS_SHARE = 0.85
-WALL_MM = 1.6  # a calyx's bottom lies on the CT's edge, which may be 1.5 mm before a mesh that blur has filled
+WALL_MM, FILLED_MM = (
+    1.6,
+    4.5,
+)  # a calyx's bottom lies on the CT's edge: at the mesh, or before it where noise has filled a papilla
 PARTED_MM = 0.5
 EDGE_MM = (-0.6, 4.0)  # a diameter's share of two edges of up to 2 mm
 CORONAL = np.array([1.0, 0.0, 1.0])
@@ -233,7 +236,9 @@ def check_airway(items: Items, lines: Mapping[str, FloatArray], planes: Planes) 
             rows["diameter"].append((of, items["branch_diameter_mm", of], median_width(planes, line)))
         if ("branch_angle_deg", of) in items and parents[number] >= 0:
             turn = turn_between(branches[parents[number]], line, planes)
-            rows["angle"].append((of, items["branch_angle_deg", of], turn))
+            # A branch shorter than it is wide has no direction and no section of its own to measure with.
+            if np.isfinite(turn) and whole > median_width(planes, line):
+                rows["angle"].append((of, items["branch_angle_deg", of], turn))
     # An airway's mesh stands at its growing limit, inside the edge in the CT by much the same in all branches.
     off = float(np.median([stated - mine for _, stated, mine in rows["diameter"]])) if rows["diameter"] else 0.0
     if ("trachea_diameter_mm", "") in items and 0 in branches:
@@ -283,15 +288,21 @@ def median_width(planes: Planes, line: FloatArray) -> float:
     return float(np.median(found)) if len(found) else np.nan
 
 
+def ball_radius(planes: Planes, line: FloatArray, places: Iterable[float]) -> float:
+    """Median over places of a line of the distance to the nearest wall in its plane, mm."""
+    found = [planes.radii(at(line, s), at(line, s + 1.5) - at(line, s - 1.5)) for s in places]
+    least = [float(radii.min()) for radii in found if radii is not None]
+    return float(np.median(least)) if least else np.nan
+
+
 def turn_between(parent: FloatArray, child: FloatArray, planes: Planes) -> float:
     """Angle between a parent's line one to three radii before its end and a child's beyond its first radius, degrees."""
-    whole = float(lengths(parent)[-1])
-    radius = 0.5 * median_diameter(planes, parent)
-    own = 0.5 * median_width(planes, child)
+    whole, reach = float(lengths(parent)[-1]), float(lengths(child)[-1])
+    radius = ball_radius(planes, parent, [whole, whole - 0.5, whole - 1.0, 0.9 * whole])
+    own = ball_radius(planes, child, np.linspace(0.1, 0.9, 7) * reach)
     if not np.isfinite(radius + own):
         return np.nan
     begin, end = max(whole - 3.0 * radius, 0.0), max(whole - radius, 0.2 * whole)
-    reach = float(lengths(child)[-1])
     low = min(radius, 0.5 * reach)
     return degrees(at(parent, end) - at(parent, begin), at(child, min(low + 2.0 * own, reach)) - at(child, low))
 
