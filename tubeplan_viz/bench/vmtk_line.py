@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -42,6 +42,8 @@ END_LENGTH = 2.0
 END_WEIGHT = 1000.0
 # A clearance this near to the ends' own is as large as any path's.
 TIE = 0.01
+# Through necks narrower than this, mm, no instrument goes, and a mesh's facets bend more than a path may.
+NECK = 0.3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,13 +133,16 @@ def tree_rows(ways: Ways) -> list[Row]:
             raise TubeplanError(f"{case}: no centerline was found, expected one; check the tree's mesh")
         for kind, peer in peers.items():
             passage = Passage(wall=wall, line=middle.points, limits=limits_of(peer))
-            rows += target_rows(f"{case}, {kind}", passage, peer, source)
+            found = target_rows(f"{case}, {kind}", passage, peer, source)
+            if middle.radii.min() < NECK:
+                found = [replace(row, target=f"shown only: a neck under {NECK:g} mm", holds=None) for row in found]
+            rows += found
     return rows
 
 
 def limits_of(peer: Peer) -> Limits:
-    """The peer's own curvature as the limit; the clearance is what is compared."""
-    return Limits(curvature_max=peer.curvature, clearance_min=0.0)
+    """The peer's own curvature as the limit, the common one where the peer leaves the lumen; the clearance is compared."""
+    return Limits(curvature_max=peer.curvature if peer.least > 0.0 else CURVATURE_MAX, clearance_min=0.0)
 
 
 def target_rows(case: str, passage: Passage, peer: Peer, source: str) -> list[Row]:
@@ -147,7 +152,7 @@ def target_rows(case: str, passage: Passage, peer: Peer, source: str) -> list[Ro
         raise TubeplanError(f"{case}: the search ended without a proof, expected one")
     ends = float(passage.wall.distance(passage.line[[0, -1]]).min())
     bound, kept = proved.clearance.bound, proved.curvature <= peer.curvature
-    # A spline that leaves the lumen is no path, and at its curvature there may be none: ours has to be one, at whatever it needs.
+    # A spline that leaves the lumen is no path, and at its curvature there may be none: ours has to be one, whatever it needs.
     if peer.least <= 0.0:
         holds, target = bound > 0.0, f"over 0: the spline leaves the lumen at {peer.curvature:.4f} 1/mm"
     elif peer.least >= ends - TIE:
