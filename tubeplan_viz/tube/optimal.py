@@ -36,6 +36,8 @@ TRUST_MAX = 0.5
 REFUSALS = 4
 SECOND_ROUNDS = 12
 ATTEMPTS = 3
+# As often are places that the samples missed added while the least clearance is raised.
+CLOSER_LOOKS = 6
 # The second aim is worth less precision than the least clearance.
 MEAN_COARSER = 6.0
 # Nearer to a ceiling that no path passes is not worth a round.
@@ -136,7 +138,8 @@ def run_phase(
     No more is asked once the least clearance comes within a thousandth of the `ceiling`.
     """
     limit = passage.limits.curvature_max
-    for attempt in range(ATTEMPTS):
+    looks = CLOSER_LOOKS if first_phase(aim) else ATTEMPTS
+    for look in range(looks):
         for reached in rounds(grid, state, aim, limit, fixed, settings):
             grid, state, aim, note = reached
             yield grid, state, proposal(grid, state, aim.goal, (note,))
@@ -144,7 +147,7 @@ def run_phase(
                 break
         missed = missed_places(grid, state, aim)
         sharp = state.curvature > limit
-        if attempt == ATTEMPTS - 1 or not (len(missed) or sharp):
+        if look == looks - 1 or not (len(missed) or (sharp and look < ATTEMPTS - 1)):
             break
         if sharp and state.curvature < 1.02 * limit:
             aim = replace(aim, curvature=aim.curvature * limit / state.curvature * CURVATURE_AIM)
