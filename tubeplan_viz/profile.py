@@ -89,7 +89,7 @@ def with_peaks(flagged: tuple[FlaggedInterval, ...], curve: SplineCurve, wall: W
     """
     found = []
     for flag in flagged:
-        s = np.linspace(max(flag.worst_at - FLAG_SPACING, flag.start), min(flag.worst_at + FLAG_SPACING, flag.end), 61)
+        s = around(flag.worst_at, flag.start, flag.end)
         u = curve.parameter(s)
         bad = curve.curvature(u) if flag.kind is FlagKind.CURVATURE else -wall.clearance(curve(u))
         k = int(np.argmax(bad))
@@ -97,6 +97,19 @@ def with_peaks(flagged: tuple[FlaggedInterval, ...], curve: SplineCurve, wall: W
         worse = value > flag.worst if flag.kind is FlagKind.CURVATURE else value < flag.worst
         found.append(replace(flag, worst=value, worst_at=float(s[k])) if worse else flag)
     return tuple(found)
+
+
+def sharpest_place(curve: SplineCurve) -> float:
+    """Arc length, mm, at which the curvature is largest, to a micrometre or two."""
+    u = np.union1d(curve.uniform_parameters(FLAG_SPACING), curve.knots)
+    at = float(curve.arc_length(u)[int(np.argmax(curve.curvature(u)))])
+    s = around(at, 0.0, curve.length)
+    return float(s[int(np.argmax(curve.curvature(curve.parameter(s))))])
+
+
+def around(at: float, low: float, high: float) -> FloatArray:
+    """Arc lengths, mm, on both sides of a sample up to where its neighbours can be, within an interval."""
+    return np.linspace(max(at - FLAG_SPACING, low), min(at + FLAG_SPACING, high), 61)
 
 
 def crossing(s: FloatArray, excess: FloatArray, i: int) -> float:

@@ -60,6 +60,7 @@ def measure_run(
     volume: Volume | None,
     path: Mapping[str, FloatArray],
     curvature_max: float,
+    sharpest_at: float,
     settings: CenterlineSettings | None = None,
 ) -> Measured:
     """Measure a planned case.
@@ -78,6 +79,8 @@ def measure_run(
     path : mapping
         ``s_mm``, ``points_mm`` and ``curvature_per_mm`` as result.json holds them.
     curvature_max : float, 1/mm
+    sharpest_at : float, mm
+        Where the path has it, between the samples too.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def measure_run(
         If a mask cannot be read; a measure that cannot be computed is no error but has a reason.
     """
     s, points = np.asarray(path["s_mm"]), np.asarray(path["points_mm"])
-    measures = path_measures(s, points, np.asarray(path["curvature_per_mm"]), curvature_max)
+    measures = path_measures(s, points, np.asarray(path["curvature_per_mm"]), curvature_max, sharpest_at=sharpest_at)
     lumen, urinary, drawing = None, None, None
     if anatomy == "urinary":
         lumen, urinary = measured_urinary(tree, case, volume, settings, grown)

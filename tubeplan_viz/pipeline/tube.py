@@ -21,6 +21,7 @@ from tubeplan_viz.pipeline.progress import Stopwatch
 from tubeplan_viz.pipeline.tree import Tree, branches_on_way, endpoint_details, pose_case
 from tubeplan_viz.pipeline.walk import film_of, walk_details
 from tubeplan_viz.plan import Plan, PlanStep
+from tubeplan_viz.profile import sharpest_place
 from tubeplan_viz.recording import Recording
 from tubeplan_viz.result import Provenance, Review, RunFolder, build_result, path_csv, slicer_markups
 from tubeplan_viz.tolerance import ToleranceSettings, path_tolerance, preset_tolerances
@@ -94,6 +95,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                         "curvature_per_mm": plan.profile.curvature,
                     },
                     curvature_max=plan.metrics["curvature_max_per_mm"],
+                    sharpest_at=sharpest_place(plan.curve),
                     settings=case.centerline,
                 )
             details["measures"] = measured.details
