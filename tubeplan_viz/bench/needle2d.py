@@ -23,6 +23,7 @@ from tubeplan_viz.pipeline.needle_ground import load_ground
 ZHAO = "Zhao et al. 2013, table 2"
 PRINTED = {"RL": 93.72, "LRL": 92.79}  # mm
 SEED = 2013
+RUNS = 5  # of the printed case: the machine is noisy
 MARGIN = 1.01  # brute force looks for paths up to so many times the planner's, to show what it can find
 
 
@@ -67,10 +68,13 @@ def without_obstacles() -> list[Row]:
 def printed_case() -> list[Row]:
     """Three circles: every form, against brute force, and the time of the whole case."""
     case, name = flat_problem(make_needle_case(planar())), "three circles"
-    plan_planar(case)  # what is imported on first use is not the planner's time
-    begun, clock = time.process_time(), time.perf_counter()
-    paths = plan_planar(case)
-    spent, waited = time.process_time() - begun, time.perf_counter() - clock
+    paths = plan_planar(case)  # what is imported on first use is not the planner's time
+    runs = []
+    for _ in range(RUNS):
+        begun, clock = time.process_time(), time.perf_counter()
+        plan_planar(case)
+        runs.append((time.process_time() - begun, time.perf_counter() - clock))
+    spent, waited = np.median(runs, axis=0).tolist()
     rows = []
     for path in paths:
         known = PRINTED.get(path.form)
@@ -86,8 +90,8 @@ def printed_case() -> list[Row]:
     return [
         *rows,
         *against_grid(f"{name}, brute force", judged),
-        Row(case=name, figure="all forms, CPU s", ours=spent, target="under 1", holds=spent < 1.0),
-        Row(case=name, figure="all forms, s on the clock", ours=waited),
+        Row(case=name, figure=f"all forms, median CPU s of {RUNS} runs", ours=spent, target="under 1", holds=spent < 1.0),
+        Row(case=name, figure=f"all forms, median s on the clock of {RUNS} runs", ours=waited),
     ]
 
 
