@@ -5,8 +5,10 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from segmentation.anatomy.nasal import propose_lesion, propose_scene, shrink
 from segmentation.arrays import BoolArray
@@ -37,6 +39,7 @@ POSES = 100_000
 SPACING_MM = 2.0  # of the phantom for brute force: at 1 mm it would try fifty times as much
 GRIDS_MM = ((2.0, 4.0), (1.0, 2.0), (0.5, 1.0))  # lines and nodes on them, of brute force
 EVERY_PATH = 1  # the grid all of whose paths are ranked
+BORDER_MM = (0.25, 0.5)  # once more halved, for starts beside those that the finest grid finds feasible
 BENT_COMPARED = 1000
 SEED = 20211
 
@@ -45,7 +48,7 @@ def rigid(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
     """All rows; `quick` takes fewer poses and only the two coarser grids of brute force, on one side.
 
     Brute force has no roll, and so the search has none here. One unit is counted on both sides: a pose or a push that is put
-    to a test of any kind. `quick` has no row of that number, since its grid finds less than the search does.
+    to a test of any kind. `quick` has no row of that number, nor of the same starts, since its grid finds less than the search.
     """
     phantom = nasal_phantom(NasalPhantomSettings(spacing=(SPACING_MM,) * 3))
     rows: list[Row] = []
@@ -60,7 +63,10 @@ def rigid(*, quick: bool = False, notify: Notify = silent) -> list[Row]:
             known = grids[-1].paths if grids else ()
             every = k == EVERY_PATH and not quick
             grids.append(brute_force(problem, line_mm=line, step_mm=step, every=every, known=known))
-        rows += compared(f"phantom, {side}", problem, found, grids, notify, quick=quick)
+        if not quick:
+            notify(f"brute force, {side}, starts at the border", len(GRIDS_MM), len(GRIDS_MM))
+        finest = grids[-1] if quick else at_border(problem, grids[-1])
+        rows += compared(f"phantom, {side}", problem, found, grids, finest, notify, quick=quick)
         if side == "left":
             notify("random poses", 0, 0)
             rows += poses(problem, POSES // 10 if quick else POSES)
@@ -91,26 +97,44 @@ def real_head(notify: Notify) -> list[Row]:
     ]
 
 
+def at_border(problem: Problem, coarser: BruteForce) -> BruteForce:
+    """Brute force on a finer grid for the starts whose neighbours are feasible: what a coarser grid missed lies there."""
+    beside, _ = cKDTree(problem.starts[coarser.feasible]).query(problem.starts)
+    near = np.asarray(beside <= np.sqrt(3.0) * SPACING_MM + 1e-6)
+    line, step = BORDER_MM
+    return brute_force(problem, line_mm=line, step_mm=step, every=False, known=coarser.paths, only=near)
+
+
 def compared(
-    case: str, problem: Problem, found: SearchResult, grids: Sequence[BruteForce], notify: Notify, *, quick: bool
+    case: str,
+    problem: Problem,
+    found: SearchResult,
+    grids: Sequence[BruteForce],
+    finest: BruteForce,
+    notify: Notify,
+    *,
+    quick: bool,
 ) -> list[Row]:
     """Feasible starts, tests and best paths of the search beside those of brute force.
 
-    Every start that either finds is confirmed by the octree test; the reference set holds all that are.
+    Every start that either finds is confirmed by the octree test. The starts are compared with those of `finest`, the tests
+    with those of the last of `grids`, which needs fewer.
     """
     notify("octree test", 0, 0)
-    first = {path.start: path for path in reversed(grids[-1].paths)}
+    first = {path.start: path for path in reversed(finest.paths)}
     mine, theirs = confirmed(problem, found.paths), confirmed(problem, list(first.values()))
     both, either = float((mine & theirs).sum()), float((mine | theirs).sum())
     brute, tests = "brute force, finest grid", grids[-1].tests
+    same = Row(case=case, figure="feasible starts, IoU of search and brute force", ours=both / either)
     rows = [
         Row(
             case=case, figure="feasible starts", ours=float(mine.sum()), reference=float(theirs.sum()), source=brute,
         ),
+        same if quick else replace(same, target="at least 0.98", holds=both / either >= 0.98),
         Row(
             case=case, figure="starts not confirmed by the octree test", ours=float((found.feasible & ~mine).sum()),
-            reference=float((grids[-1].feasible & ~theirs).sum()), source=brute, target="none",
-            holds=bool((found.feasible == mine).all() and (grids[-1].feasible == theirs).all()),
+            reference=float((finest.feasible & ~theirs).sum()), source=brute, target="none",
+            holds=bool((found.feasible == mine).all() and (finest.feasible == theirs).all()),
         ),
         *(
             Row(
@@ -121,18 +145,14 @@ def compared(
         ),
         Row(case=case, figure="starts found by the search alone", ours=float((mine & ~theirs).sum())),
         Row(case=case, figure="starts found by brute force alone", ours=float((theirs & ~mine).sum())),
-        Row(case=case, figure="IoU of search and brute force, finest grid", ours=both / either),
-        Row(
-            case=case, figure="share of all confirmed starts that the search finds (IoU)", ours=float(mine.sum()) / either,
-            target="at least 0.98", holds=float(mine.sum()) / either >= 0.98,
-        ),
+        Row(case=case, figure="share of all confirmed starts that the search finds", ours=float(mine.sum()) / either),
         Row(case=case, figure="tests decided by a witness", ours=float(found.tests - found.evaluations)),
         Row(case=case, figure="tests by the envelope", ours=float(found.evaluations)),
     ]  # fmt: skip
     if not quick:
         row = Row(
-            case=case, figure="tests, poses and pushes", ours=float(found.tests), reference=float(tests), source=brute,
-            target="at least 10 times fewer", holds=tests >= 10.0 * found.tests,
+            case=case, figure="tests, poses and pushes", ours=float(found.tests), reference=float(tests),
+            source="brute force, coarser by one", target="at least 10 times fewer", holds=tests >= 10.0 * found.tests,
         )  # fmt: skip
         rows += [row, *best_paths(case, problem, found, grids[EVERY_PATH])]
     return rows

@@ -41,7 +41,15 @@ class BruteForce:
     tests: int
 
 
-def brute_force(problem: Problem, *, line_mm: float, step_mm: float, every: bool, known: Sequence[RigidPath] = ()) -> BruteForce:
+def brute_force(
+    problem: Problem,
+    *,
+    line_mm: float,
+    step_mm: float,
+    every: bool,
+    known: Sequence[RigidPath] = (),
+    only: BoolArray | None = None,
+) -> BruteForce:
     """Try everything without roll.
 
     Parameters
@@ -55,14 +63,17 @@ def brute_force(problem: Problem, *, line_mm: float, step_mm: float, every: bool
         Find all paths of the grid; otherwise a start is done with its first.
     known : sequence of RigidPath
         Paths of a coarser grid; their starts are done, unless every path is asked for.
+    only : (n,) bool array, optional
+        Starts to try; by default all.
     """
     # What a witness decides is counted all the same: it makes brute force faster, not cheaper in tests.
     judge = replace(problem.judge(), witnesses=Witnesses())
     starts, goal = problem.starts, problem.goal
     feasible, paths = np.zeros(len(starts), dtype=bool), list(known)
     feasible[[path.start for path in known]] = True
+    tried = np.ones(len(starts), dtype=bool) if only is None else only
     label, _ = judge.push(starts, np.broadcast_to(goal, starts.shape), np.zeros(len(starts)))
-    for row in np.flatnonzero((label < 0) & ~feasible):
+    for row in np.flatnonzero((label < 0) & tried & ~feasible):
         feasible[row] = True
         paths.append(RigidPath(np.array([starts[row], goal]), 0.0, int(row)))
     lines, reach = fan(problem, line_mm)
@@ -72,7 +83,7 @@ def brute_force(problem: Problem, *, line_mm: float, step_mm: float, every: bool
     nodes = np.random.default_rng(0).permutation(nodes)
     done, batch = 0, FIRST_BATCH
     while done < len(nodes):
-        rows = np.arange(len(starts)) if every else np.flatnonzero(~feasible)
+        rows = np.flatnonzero(tried if every else tried & ~feasible)
         some = nodes[done : done + batch]
         who, first = np.repeat(rows, len(some)), np.tile(some, (len(rows), 1))
         label, _ = judge.push(starts[who], first, np.zeros(len(who)))
