@@ -2,7 +2,7 @@
 
 Strategy: two collecting systems are straight, so that angle, width and length follow from their plans in closed form.
 The third is the curved one of the demonstration: its axes and radii are known, and where its infundibula leave the
-pelvis is found on the exact lumen by a distance transform. All are scanned in the generated abdomen and measured through
+pelvis is found on the exact lumen by its distances to the wall. All are scanned in the generated abdomen and measured through
 their CTs, by the same settings.
 """
 
@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
+from skimage import measure
 
 from segmentation.arrays import FloatArray
 from segmentation.lumen import SegmentationSettings, segment_lumen
@@ -173,12 +175,18 @@ def curved_truth(system: CollectingSystem) -> tuple[InfundibulumTruth, ...]:
 
 
 def pelvis_balls(system: CollectingSystem) -> tuple[FloatArray, FloatArray]:
-    """Balls of the exact pelvis that are nearly as large as its largest: centres (k, 3) and radii (k,), mm."""
+    """Balls of the exact pelvis that are nearly as large as its largest: centres (k, 3) and radii (k,), mm.
+
+    The wall is where the clearance of the construction is zero, interpolated between places `GRID_MM` apart: to the nearest
+    corner of it the distance is too long by GRID_MM^2 / 4 r at most, 0.01 mm.
+    """
     low, high = np.array([34.0, 10.0, -18.0]), np.array([58.0, 32.0, 10.0])
     grid = np.stack(np.meshgrid(*(np.arange(a, b, GRID_MM) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1)
-    inside = system.clearance(grid.reshape(-1, 3)).reshape(grid.shape[:-1]) > 0.0
-    # To the middle of the nearest outer voxel: half a step less is the wall.
-    deep = ndimage.distance_transform_edt(inside) * GRID_MM - 0.5 * GRID_MM
+    clearance = system.clearance(grid.reshape(-1, 3)).reshape(grid.shape[:-1])
+    corners = measure.marching_cubes(clearance, 0.0, spacing=(GRID_MM,) * 3)[0] + low
+    inside = clearance > 0.0
+    deep = np.zeros(grid.shape[:-1])
+    deep[inside] = cKDTree(corners).query(grid[inside])[0]
     labels, _ = ndimage.label(deep >= PLATEAU * deep.max())
     kept = labels == labels.flat[deep.argmax()]
     return grid[kept], deep[kept]
