@@ -39,7 +39,7 @@ POSES = 100_000
 SPACING_MM = 2.0  # of the phantom for brute force: at 1 mm it would try fifty times as much
 GRIDS_MM = ((2.0, 4.0), (1.0, 2.0), (0.5, 1.0))  # lines and nodes on them, of brute force
 EVERY_PATH = 1  # the grid all of whose paths are ranked
-BORDER_MM = (0.25, 0.5)  # once more halved, for starts beside those that the finest grid finds feasible
+BORDER_MM = (0.125, 1.0)  # lines as near to one another as the search has them, for starts beside feasible ones
 BENT_COMPARED = 1000
 SEED = 20211
 

@@ -18,9 +18,9 @@ from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.rigid.instrument import UP, unit
 from tubeplan_viz.rigid.judge import Judge
 
-FINEST_MM = 0.25  # pitch of the finest grid, at the distance of the entry region
-PITCHES = (4, 2, 1)  # of the grids, in units of the finest
-ENOUGH = 150  # directions; more free ones need no finer grid
+FINEST_MM = 0.125  # pitch of the finest grid, at the distance of the entry region: a tenth of a degree decides at its border
+PITCHES = (8, 4, 2, 1)  # of the grids, in units of the finest
+ENOUGH = 400  # directions; more free ones need no finer grid
 BESIDE_MM = 1.5  # of the entry voxels, seen from the lesion, within which directions are tried
 
 
