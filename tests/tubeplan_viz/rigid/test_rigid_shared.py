@@ -7,7 +7,7 @@ import pytest
 
 from segmentation.volume import Volume
 from tubeplan_viz.rigid import CoupledInstrument, Judge, RigidPath, Weights
-from tubeplan_viz.rigid.free_directions import FINEST_MM, free_directions
+from tubeplan_viz.rigid.free_directions import FINEST_MM, PITCHES, free_directions
 from tubeplan_viz.rigid.instrument import unit
 from tubeplan_viz.rigid.obstacles import build_obstacles
 from tubeplan_viz.rigid.polish import polish
@@ -42,7 +42,7 @@ def test_all_directions_are_free_without_obstacles_and_all_starts_are_among_them
     # The grid of 1 mm, at 80 mm: every start has a direction within half a cell's diagonal, and what that is as an angle.
     ways = unit(judge.mouth - GOAL)
     nearest = np.linalg.norm(ways[:, None] - fan[None], axis=2).min(axis=1)
-    assert nearest.max() <= np.sqrt(0.5) * 4 * FINEST_MM / 80.0 + 1e-6
+    assert nearest.max() <= np.sqrt(0.5) * PITCHES[0] * FINEST_MM / 80.0 + 1e-6
 
 
 def test_free_directions_are_those_that_pass_the_slit() -> None:
