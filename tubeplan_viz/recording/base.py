@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
+
+from tubeplan_viz.recording import entities as at
 
 if TYPE_CHECKING:
     from tubeplan_viz.recording.sink import Sink
@@ -56,3 +59,23 @@ class RunRecording(ABC):
     @abstractmethod
     def _blueprint(self) -> Any:
         """The layout with which the file opens."""
+
+
+def begin(path: Path, *, case_id: str, frame: str, connect: str | None, **facts: Any) -> Sink:
+    """A sink that names the case and its axes; `facts` are the case's own, as planner and method.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be made.
+    """
+    import rerun as rr
+
+    from tubeplan_viz.recording.blueprint import scene_axes
+    from tubeplan_viz.recording.sink import Sink
+
+    sink = Sink(path, case_id=case_id, connect=connect)
+    with sink:
+        sink.property("case", rr.AnyValues(case_id=case_id, frame=frame, units="mm", notice=at.NOTICE, **facts))
+        sink.log(at.CASE, scene_axes(frame), static=True)
+    return sink

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -16,6 +18,7 @@ from tubeplan_viz.recording.slices import FIELD_MM, PIXEL_MM
 FIELD_OF_VIEW = np.deg2rad(55.0)
 PLAY_FPS = 20.0
 BACKGROUND = (18, 20, 24)
+SCENE_NAME = "3D (research use, not for clinical decisions)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,13 +74,10 @@ def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
 
 def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
     """The layout: 3D and CT planes on the left, plots and words on the right, open at the last iteration."""
-    scene = rrb.Spatial3DView(
-        origin=at.CASE,
-        name="3D (research use, not for clinical decisions)",
+    scene = scene_view(
+        SCENE_NAME,
+        eye,
         contents=["$origin/**", f"- {at.CT}/**", f"- {at.WALK_CAMERA}/**", f"- {at.FILM}/**"],
-        background=rrb.Background(color=BACKGROUND),
-        line_grid=False,
-        eye_controls=_eye(eye),
         overrides={at.INSCRIBED: rrb.EntityBehavior(visible=False)},
     )
     tabs: list[rrb.View | rrb.Container] = [scene]
@@ -159,25 +159,52 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
                 plot_legend=rrb.PlotLegend(visible=False),
             )
         )
-    return rrb.Blueprint(
+    return folded(
         rrb.Horizontal(
             space,
             rrb.Vertical(*plots, rrb.Tabs(*words, active_tab=0), row_shares=[3, 3, 2.5, 4.2]),
             column_shares=[5, 4],
         ),
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=at.ITERATION, fps=PLAY_FPS, play_state="following"),
-        auto_views=False,
-        auto_layout=False,
+        timeline=at.ITERATION,
+        fps=PLAY_FPS,
+        play_state="following",
     )
 
 
-def _eye(eye: Viewpoint | None) -> rrb.EyeControls3D | None:
-    if eye is None:
-        return None
-    return rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=eye.up)
+def scene_view(
+    name: str,
+    eye: Viewpoint | None,
+    *,
+    origin: str = at.CASE,
+    contents: Sequence[str] = ("$origin/**",),
+    overrides: Mapping[str, Any] | None = None,
+) -> rrb.Spatial3DView:
+    """A 3D view as every recording has it: dark, without a grid, turned about what there is to see."""
+    controls = None
+    if eye is not None:
+        controls = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=eye.up)
+    return rrb.Spatial3DView(
+        origin=origin,
+        name=name,
+        contents=list(contents),
+        background=rrb.Background(color=BACKGROUND),
+        line_grid=False,
+        eye_controls=controls,
+        overrides=overrides,
+    )
+
+
+def folded(layout: rrb.Container, **time: Any) -> rrb.Blueprint:
+    """A layout whose panels are folded away, so that the views have the window; `time` goes to the time panel."""
+    return rrb.Blueprint(
+        layout,
+        rrb.TopPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", **time),
+        auto_views=False,
+        auto_layout=False,
+    )
 
 
 def _bars(kind: FlagKind, name: str) -> rrb.BarChartView:

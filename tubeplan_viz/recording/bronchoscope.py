@@ -13,7 +13,7 @@ from segmentation.mesh import Surface
 from tubeplan_viz.bronchoscope.mover import Step
 from tubeplan_viz.bronchoscope.planner import Node
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.base import RunRecording
+from tubeplan_viz.recording.base import RunRecording, begin
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module.
 if TYPE_CHECKING:
@@ -55,18 +55,7 @@ class BronchoscopeRecording(RunRecording):
         RecordingError
             If the file cannot be made.
         """
-        import rerun as rr
-
-        from tubeplan_viz.recording.blueprint import scene_axes
-        from tubeplan_viz.recording.sink import Sink
-
-        sink = Sink(path, case_id=case_id, connect=connect)
-        with sink:
-            facts = rr.AnyValues(
-                case_id=case_id, planner="bronchoscope", method=method, frame=frame, units="mm", notice=at.NOTICE
-            )
-            sink.property("case", facts)
-            sink.log(at.CASE, scene_axes(frame), static=True)
+        sink = begin(path, case_id=case_id, frame=frame, connect=connect, planner="bronchoscope", method=method)
         return cls(sink, case_id=case_id, frame=frame, light=light)
 
     def log_airway(self, surface: Surface, branches: Sequence[tuple[str, FloatArray]], radius: float) -> None:
@@ -185,18 +174,10 @@ class BronchoscopeRecording(RunRecording):
     def _blueprint(self) -> Any:
         import rerun.blueprint as rrb
 
-        from tubeplan_viz.recording.blueprint import BACKGROUND, viewpoint
+        from tubeplan_viz.recording.blueprint import SCENE_NAME, folded, scene_view, viewpoint
 
         eye = viewpoint(self._seen, self._frame, radius=12.0)
-        controls = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye.position, look_target=eye.target, eye_up=eye.up)
-        space = rrb.Spatial3DView(
-            origin=at.CASE,
-            name="3D (research use, not for clinical decisions)",
-            contents=["$origin/**"],
-            background=rrb.Background(color=BACKGROUND),
-            line_grid=False,
-            eye_controls=controls,
-        )
+        space = scene_view(SCENE_NAME, eye)
         words = rrb.Tabs(
             rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
             rrb.TextLogView(origin=at.DECISIONS, name="Steps"),
@@ -206,14 +187,9 @@ class BronchoscopeRecording(RunRecording):
             rrb.TimeSeriesView(origin=ACTUATION, name="Bend of each section by step, degrees"),
             rrb.TimeSeriesView(origin=CLEARANCES, name="Clearance of front disc and body by step, mm"),
         )
-        return rrb.Blueprint(
+        return folded(
             rrb.Horizontal(space, rrb.Vertical(plots, words, row_shares=[3, 2]), column_shares=[5, 4]),
-            rrb.TopPanel(state="collapsed"),
-            rrb.BlueprintPanel(state="collapsed"),
-            rrb.SelectionPanel(state="collapsed"),
-            rrb.TimePanel(state="collapsed", timeline=STEP),
-            auto_views=False,
-            auto_layout=False,
+            timeline=STEP,
         )
 
 

@@ -15,7 +15,7 @@ from segmentation.arrays import FloatArray, IntArray
 from tubeplan_viz.plan import FlagKind
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.anatomy import log_wall
-from tubeplan_viz.recording.blueprint import BACKGROUND, PLAY_FPS, scene_axes, viewpoint
+from tubeplan_viz.recording.blueprint import PLAY_FPS, folded, scene_axes, scene_view, viewpoint
 from tubeplan_viz.recording.plans import CURVE_SPACING_MM, FLAG_RADIUS, Track, result_flags, result_track, worst_label
 from tubeplan_viz.recording.sink import Sink
 from tubeplan_viz.result import STRAIGHT_MM, ComparedRun, Comparison
@@ -188,14 +188,11 @@ def _layout(comparison: Comparison) -> rrb.Blueprint:
         for kind in (FlagKind.CLEARANCE, FlagKind.CURVATURE)
     ]
     words = rrb.TextDocumentView(origin="/summary", name=f"Summary ({at.NOTICE.lower().rstrip('.')})")
-    return rrb.Blueprint(
+    return folded(
         rrb.Horizontal(space, rrb.Vertical(*plots, words, row_shares=[3, 3, 4]), column_shares=[1, 1]),
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=at.ARC_LENGTH, fps=PLAY_FPS, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+        timeline=at.ARC_LENGTH,
+        fps=PLAY_FPS,
+        play_state="paused",
     )
 
 
@@ -203,15 +200,5 @@ def _scene(runs: Sequence[ComparedRun], origin: str, name: str) -> rrb.Spatial3D
     paths = [np.asarray(run.result["path"]["points_mm"], float) for run in runs if run.result.get("path")]
     walls = [run.surface.vertices for run in runs if run.surface is not None]
     seen = np.vstack(paths or [wall[::50] for wall in walls]) if paths or walls else None
-    eye = None
-    if seen is not None:
-        view = viewpoint(seen, str(runs[0].result["frame"]), radius=4.0)
-        eye = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=view.position, look_target=view.target, eye_up=view.up)
-    return rrb.Spatial3DView(
-        origin=origin,
-        name=name,
-        contents=["$origin/**"],
-        background=rrb.Background(color=BACKGROUND),
-        line_grid=False,
-        eye_controls=eye,
-    )
+    eye = None if seen is None else viewpoint(seen, str(runs[0].result["frame"]), radius=4.0)
+    return scene_view(name, eye, origin=origin)

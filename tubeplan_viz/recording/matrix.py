@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 from segmentation.mesh import Surface
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.anatomy import log_surface
-from tubeplan_viz.recording.blueprint import BACKGROUND, scene_axes, viewpoint
+from tubeplan_viz.recording.blueprint import folded, scene_axes, scene_view, viewpoint
 from tubeplan_viz.recording.sink import Sink
 
 INSTRUMENT = "instrument"
@@ -110,27 +110,14 @@ def layout(document: Mapping[str, Any]) -> rrb.Blueprint:
     """The tree beside the table; the timeline steps through the instruments."""
     seen = np.array([document["start_mm"], *(target["point_mm"] for target in document["targets"])], float)
     view = viewpoint(seen, str(document["frame"]), radius=8.0)
-    scene = rrb.Spatial3DView(
-        origin="/case",
-        name="Paths of one instrument; step through the timeline `instrument`",
-        contents=["$origin/**"],
-        background=rrb.Background(color=BACKGROUND),
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=view.position, look_target=view.target, eye_up=view.up
-        ),
-    )
+    scene = scene_view("Paths of one instrument; step through the timeline `instrument`", view)
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/case/table", name=f"All cells ({at.NOTICE.lower().rstrip('.')})"),
         rrb.TextDocumentView(origin="/case/instrument", name="This instrument"),
         row_shares=[1, 1],
     )
-    return rrb.Blueprint(
+    return folded(
         rrb.Horizontal(scene, words, column_shares=[2, 3]),
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=INSTRUMENT, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+        timeline=INSTRUMENT,
+        play_state="paused",
     )

@@ -12,7 +12,7 @@ from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.base import RunRecording
+from tubeplan_viz.recording.base import RunRecording, begin
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module.
 if TYPE_CHECKING:
@@ -55,15 +55,7 @@ class NeedleRecording(RunRecording):
         RecordingError
             If the file cannot be made.
         """
-        import rerun as rr
-
-        from tubeplan_viz.recording.blueprint import scene_axes
-        from tubeplan_viz.recording.sink import Sink
-
-        sink = Sink(path, case_id=case_id, connect=connect)
-        with sink:
-            sink.property("case", rr.AnyValues(case_id=case_id, planner=planner, frame=frame, units="mm", notice=at.NOTICE))
-            sink.log(at.CASE, scene_axes(frame), static=True)
+        sink = begin(path, case_id=case_id, frame=frame, connect=connect, planner=planner)
         return cls(sink, case_id=case_id, planner=planner, frame=frame, light=light)
 
     def log_scene(self, entry: FloatArray, target: FloatArray, scene: Scene, safety: float, volume: Volume | None = None) -> None:
@@ -188,24 +180,15 @@ class NeedleRecording(RunRecording):
     def _blueprint(self) -> Any:
         import rerun.blueprint as rrb
 
-        from tubeplan_viz.recording.blueprint import BACKGROUND, viewpoint
+        from tubeplan_viz.recording.blueprint import SCENE_NAME, Viewpoint, folded, scene_view, viewpoint
 
-        eye = viewpoint(self._seen, self._frame, radius=12.0)
         if self._planner == "needle2d":  # the plane x = 0, seen along x with the depth downwards
             middle = self._seen.mean(axis=0)
             reach = 2.2 * float(np.linalg.norm(self._seen - middle, axis=1).max())
-            position, up = middle + np.array([reach, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
+            eye = Viewpoint(position=middle + np.array([reach, 0.0, 0.0]), target=middle, up=np.array([0.0, 0.0, -1.0]))
         else:
-            middle, position, up = eye.target, eye.position, eye.up
-        controls = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=position, look_target=middle, eye_up=up)
-        space = rrb.Spatial3DView(
-            origin=at.CASE,
-            name="3D (research use, not for clinical decisions)",
-            contents=["$origin/**", f"- {FRONT}", f"- {at.CT}/**"],
-            background=rrb.Background(color=BACKGROUND),
-            line_grid=False,
-            eye_controls=controls,
-        )
+            eye = viewpoint(self._seen, self._frame, radius=12.0)
+        space = scene_view(SCENE_NAME, eye, contents=["$origin/**", f"- {FRONT}", f"- {at.CT}/**"])
         words: list[Any] = [
             rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
             rrb.TextLogView(origin=at.DECISIONS, name="Events"),
@@ -232,14 +215,9 @@ class NeedleRecording(RunRecording):
                 for plane in at.PLANES
             ]
             scene = rrb.Vertical(space, rrb.Horizontal(*planes), row_shares=[3, 2])
-        return rrb.Blueprint(
+        return folded(
             rrb.Horizontal(scene, rrb.Vertical(*side), column_shares=[5, 4]),
-            rrb.TopPanel(state="collapsed"),
-            rrb.BlueprintPanel(state="collapsed"),
-            rrb.SelectionPanel(state="collapsed"),
-            rrb.TimePanel(state="collapsed", timeline=at.ITERATION if self._planner == "needle3d" else at.ARC_LENGTH),
-            auto_views=False,
-            auto_layout=False,
+            timeline=at.ITERATION if self._planner == "needle3d" else at.ARC_LENGTH,
         )
 
 

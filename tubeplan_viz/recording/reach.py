@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from segmentation.mesh import Surface
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.blueprint import BACKGROUND, scene_axes, viewpoint
+from tubeplan_viz.recording.blueprint import folded, scene_axes, scene_view, viewpoint
 from tubeplan_viz.recording.matrix import COLORS as SIGNALS
 from tubeplan_viz.recording.sink import Sink
 
@@ -108,27 +108,14 @@ def table(document: Mapping[str, Any]) -> str:
 def layout(document: Mapping[str, Any], surface: Surface) -> rrb.Blueprint:
     """The airway beside the table; the timeline steps through the branches."""
     view = viewpoint(np.asarray(surface.vertices[::50]), str(document["frame"]), radius=8.0)
-    scene = rrb.Spatial3DView(
-        origin="/case",
-        name="Airway by verdict; step through the timeline `branch` (research use, not for clinical decisions)",
-        contents=["$origin/**"],
-        background=rrb.Background(color=BACKGROUND),
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=view.position, look_target=view.target, eye_up=view.up
-        ),
-    )
+    scene = scene_view("Airway by verdict; step through the timeline `branch` (research use, not for clinical decisions)", view)
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/case/table", name="All branches"),
         rrb.TextDocumentView(origin="/case/branch", name="This branch"),
         row_shares=[3, 1],
     )
-    return rrb.Blueprint(
+    return folded(
         rrb.Horizontal(scene, words, column_shares=[1, 1]),
-        rrb.TopPanel(state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=BRANCH, play_state="paused"),
-        auto_views=False,
-        auto_layout=False,
+        timeline=BRANCH,
+        play_state="paused",
     )

@@ -14,7 +14,7 @@ from PIL import Image
 from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.base import RunRecording
+from tubeplan_viz.recording.base import RunRecording, begin
 from tubeplan_viz.rigid import BORDER, Bodies, CoupledInstrument, Problem, RigidPlan, posed, swept
 from tubeplan_viz.rigid.instrument import unit
 
@@ -71,15 +71,7 @@ class RigidRecording(RunRecording):
         RecordingError
             If the file cannot be made.
         """
-        import rerun as rr
-
-        from tubeplan_viz.recording.blueprint import scene_axes
-        from tubeplan_viz.recording.sink import Sink
-
-        sink = Sink(path, case_id=case_id, connect=connect)
-        with sink:
-            sink.property("case", rr.AnyValues(case_id=case_id, planner="rigid", frame="LPS", units="mm", notice=at.NOTICE))
-            sink.log(at.CASE, scene_axes("LPS"), static=True)
+        sink = begin(path, case_id=case_id, frame="LPS", connect=connect, planner="rigid")
         return cls(sink, case_id=case_id, light=light)
 
     def log_scene(self, problem: Problem) -> None:
@@ -189,27 +181,18 @@ class RigidRecording(RunRecording):
         import rerun as rr
         import rerun.blueprint as rrb
 
-        from tubeplan_viz.recording.blueprint import BACKGROUND
+        from tubeplan_viz.recording.blueprint import SCENE_NAME, Viewpoint, folded, scene_view
 
         middle = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
         reach = float(np.linalg.norm(self._seen - middle, axis=1).max())
         side = 1.0 if middle[0] >= 0.0 else -1.0
-        eye = middle + 2.6 * reach * unit(np.array([side * 1.0, -0.9, 0.35]))
-        scene = rrb.Spatial3DView(
-            origin=at.CASE,
-            name="3D (research use, not for clinical decisions)",
-            contents=["$origin/**", f"- {at.CT}/**", f"- {PARETO}", f"- {CORRIDOR}"],
-            background=rrb.Background(color=BACKGROUND),
-            line_grid=False,
-            eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=middle, eye_up=(0.0, 0.0, 1.0)),
-        )
-        corridor = rrb.Spatial3DView(
-            origin=at.CASE,
-            name="Corridor and best paths",
+        away = 2.6 * reach * unit(np.array([side * 1.0, -0.9, 0.35]))
+        eye = Viewpoint(position=middle + away, target=middle, up=np.array([0.0, 0.0, 1.0]))
+        scene = scene_view(SCENE_NAME, eye, contents=["$origin/**", f"- {at.CT}/**", f"- {PARETO}", f"- {CORRIDOR}"])
+        corridor = scene_view(
+            "Corridor and best paths",
+            eye,
             contents=[f"{ANATOMY}/**", f"{ENTRY}/feasible", f"{BEST}/**", CORRIDOR],
-            background=rrb.Background(color=BACKGROUND),
-            line_grid=False,
-            eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=middle, eye_up=(0.0, 0.0, 1.0)),
             overrides={f"{ANATOMY}/brain": rr.Points3D.from_fields(radii=0.15)},
         )
         left: Any = rrb.Tabs(scene, corridor, active_tab=0) if self._walked else scene
@@ -228,14 +211,10 @@ class RigidRecording(RunRecording):
             ranked = rrb.Spatial2DView(origin=PARETO, name="Paths: to the brain (right), tissue (down); Pareto set bright")
             views = [distances, *([ranked] if self._ranked else []), told]
             right = rrb.Vertical(*views, row_shares=[3, 2, 3] if self._ranked else [3, 3])
-        return rrb.Blueprint(
+        return folded(
             rrb.Horizontal(left, right, column_shares=[3, 2]),
-            rrb.TopPanel(state="collapsed"),
-            rrb.BlueprintPanel(state="collapsed"),
-            rrb.SelectionPanel(state="collapsed"),
-            rrb.TimePanel(state="collapsed", timeline=at.ARC_LENGTH, play_state="following"),
-            auto_views=False,
-            auto_layout=False,
+            timeline=at.ARC_LENGTH,
+            play_state="following",
         )
 
 

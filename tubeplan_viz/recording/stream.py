@@ -17,7 +17,7 @@ from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.endoluminal import Film
 from tubeplan_viz.plan import Limits, PlanStep
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.base import RunRecording
+from tubeplan_viz.recording.base import RunRecording, begin
 
 # rerun takes more than half a second to load; it is imported by the first recording, not by this module,
 # so that commands which record nothing start at once.
@@ -87,29 +87,23 @@ class Recording(RunRecording):
         RecordingError
             If the file cannot be made.
         """
-        import rerun as rr
-
-        from tubeplan_viz.recording.blueprint import Contents, blueprint, scene_axes
+        from tubeplan_viz.recording.blueprint import Contents, blueprint
         from tubeplan_viz.recording.plans import log_legend
-        from tubeplan_viz.recording.sink import Sink
 
-        sink = Sink(path, case_id=case_id, connect=connect)
         contents = Contents(limits=limits, frame=frame)
-        case = rr.AnyValues(
+        sink = begin(
+            path,
             case_id=case_id,
+            frame=frame,
+            connect=connect,
             planner=planner,
             method=method,
-            frame=frame,
-            units="mm",
             curvature_max_per_mm=limits.curvature_max,
             clearance_min_mm=limits.clearance_min,
-            notice=at.NOTICE,
             arc_length_ticks_per_mm=at.TICKS_PER_MM,
         )
         with sink:
-            sink.property("case", case)
             sink.show(blueprint(contents, None))
-            sink.log(at.CASE, scene_axes(frame), static=True)
             log_legend(sink, limits)
             sink.flush()
         return cls(sink, contents, case_id=case_id, light=light)
