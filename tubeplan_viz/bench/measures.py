@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy import ndimage
@@ -20,7 +21,7 @@ from segmentation.arrays import FloatArray
 from segmentation.lumen import SegmentationSettings, segment_lumen
 from segmentation.surface import SurfaceSettings, lumen_surface
 from segmentation.synthetic import PLAIN, SECOND, CollectingSystem, UrographySettings, straight_urography, urography
-from segmentation.synthetic.collecting_system import PAPILLA_AHEAD, PAPILLA_RADIUS
+from segmentation.synthetic.collecting_system import PAPILLA_AHEAD, PAPILLA_RADIUS, collecting_system
 from segmentation.synthetic.urography_straight import CalyxTruth, InfundibulumTruth, degrees_between
 from segmentation.volume import Volume
 from tubeplan_viz.bench.rows import Row
@@ -109,7 +110,7 @@ def measured(anatomy: str, slice_mm: float, *, noise: bool) -> Measured:
     settings = kidney_view(slice_mm)
     if anatomy == "curved":
         made = urography(settings=settings)
-        volume, truth = made.volume, curved_truth(made.truth)
+        volume, truth = made.volume, curved_truth()
     else:
         plan, seed = (PLAIN, 11) if anatomy == "plain" else (SECOND, 77)
         volume, system = straight_urography(plan, seed=seed, right=anatomy == "second", settings=settings)
@@ -137,8 +138,10 @@ def noisy(volume: Volume) -> Volume:
     return Volume(np.clip(np.rint(volume.voxels + noise), -1024, 3071).astype(np.int16), volume.index_to_lps)
 
 
-def curved_truth(system: CollectingSystem) -> tuple[InfundibulumTruth, ...]:
-    """The measures of the demonstration's exact lumen."""
+@cache
+def curved_truth() -> tuple[InfundibulumTruth, ...]:
+    """The measures of the demonstration's exact lumen; it is the same in every scan."""
+    system = collecting_system(LOW[2])
     branches = {branch.name: branch for branch in system.branches}
     trunk = branches["ureter and pelvis"]
     centers, radii = pelvis_balls(system)
