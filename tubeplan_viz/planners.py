@@ -22,22 +22,30 @@ class Planner:
         ``make(table, folder=..., name=...)`` gives the case of a case file's tables.
     case : type
         What `make` gives.
+    text : callable
+        ``text(case, target)`` is what case.toml of the run folder `target` holds.
     run : callable
         ``run(case, target, options)`` plans the case, writes the run folder `target` and returns the content of result.json.
     """
 
     make: Callable[..., Any]
     case: type
+    text: Callable[[Any, Path], str]
     run: Callable[[Any, Path, RunOptions], dict[str, Any]]
 
 
-_NEEDLE = Planner(make=needle.make_needle_case, case=needle.NeedleCase, run=run_needle)
+_NEEDLE = Planner(make=needle.make_needle_case, case=needle.NeedleCase, text=needle.needle_case_text, run=run_needle)
 PLANNERS: dict[str, Planner] = {
-    "tube": Planner(make=tube.make_case, case=tube.Case, run=run_tube),
+    "tube": Planner(make=tube.make_case, case=tube.Case, text=tube.case_text, run=run_tube),
     "needle2d": _NEEDLE,
     "needle3d": _NEEDLE,
-    "rigid": Planner(make=rigid.make_rigid_case, case=rigid.RigidCase, run=run_rigid),
-    "bronchoscope": Planner(make=bronchoscope.make_bronchoscope_case, case=bronchoscope.BronchoscopeCase, run=run_bronchoscope),
+    "rigid": Planner(make=rigid.make_rigid_case, case=rigid.RigidCase, text=rigid.rigid_case_text, run=run_rigid),
+    "bronchoscope": Planner(
+        make=bronchoscope.make_bronchoscope_case,
+        case=bronchoscope.BronchoscopeCase,
+        text=bronchoscope.bronchoscope_case_text,
+        run=run_bronchoscope,
+    ),
 }
 
 

@@ -36,6 +36,24 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
     {('limits',): 1, ('limits', 'clearance_min'): 2}
     """
     lines: dict[tuple[str, ...], int] = {}
+    for number, name, _ in _statements(text):
+        lines.setdefault(name, number)
+    return lines
+
+
+def array_lines(text: str, name: str) -> list[int]:
+    """The line of each ``[[name]]`` of a TOML text, in order.
+
+    Examples
+    --------
+    >>> array_lines('[[cases]]\\nid = "a"\\n\\n[[cases]]\\nid = "b"\\n', "cases")
+    [1, 4]
+    """
+    return [number for number, full, opens in _statements(text) if opens and full == (name,)]
+
+
+def _statements(text: str) -> Iterator[tuple[int, tuple[str, ...], bool]]:
+    """Line, full name, and whether it opens a row of an array, of every table and key."""
     table: tuple[str, ...] = ()
     depth, quotes = 0, ""
     for number, line in enumerate(text.splitlines(), start=1):
@@ -43,12 +61,11 @@ def key_lines(text: str) -> dict[tuple[str, ...], int]:
             header, key = HEADER.match(line), KEY.match(line)
             if header:
                 table = _names(header[2])
-                lines.setdefault(table, number)
+                yield number, table, header[1] == "[["
                 continue
             if key:
-                lines.setdefault((*table, *_names(key[1])), number)
+                yield number, (*table, *_names(key[1])), False
         depth, quotes = _after(line, depth, quotes)
-    return lines
 
 
 def _names(dotted: str) -> tuple[str, ...]:
