@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from segmentation.anatomy.airway import AIRWAY, find_trachea
 from segmentation.anatomy.generic import GENERIC
@@ -119,7 +118,7 @@ def segment_lumen(
 def _refuse_hollow_or_metal(volume: Volume, region: Region, name: str) -> None:
     """Bone's cortex around marrow, and implants, can have the shape of a tube."""
     count = np.count_nonzero(region.mask)
-    hollow = 1.0 - count / np.count_nonzero(ndimage.binary_fill_holes(region.mask))
+    hollow = 1.0 - count / np.count_nonzero(region.filled)
     if hollow > HOLLOW_MAX:
         raise RegionError(
             f"{name} is a shell, as of bone around marrow: {100 * hollow:.0f} % of what it encloses did not grow, "
@@ -136,7 +135,7 @@ def _refuse_hollow_or_metal(volume: Volume, region: Region, name: str) -> None:
 
 def measure_shape(volume: Volume, region: Region) -> TubeShape:
     """Length, width and cross-sections of a region with its voids closed."""
-    return tube_shape(ndimage.binary_fill_holes(region.mask), volume.spacing)
+    return tube_shape(region.filled, volume.spacing)
 
 
 def _seed(volume: Volume, settings: SegmentationSettings) -> tuple[int, int, int]:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from segmentation.arrays import BoolArray, FloatArray, IntArray, VoxelArray, frozen_array
+from segmentation.arrays import BoolArray, FloatArray, frozen_array
 from segmentation.errors import RegionError
-from segmentation.flooding import BLOCKED, Flood, flood
+from segmentation.flooding import Flood, bounding_box, flood, flood_once, without_voids
 from segmentation.leak import LeakRule, leak_index, leak_voxel
-from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, STEPS_PER_HU, growing_voxels
+from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, STEPS_PER_HU, GrowingVoxels
 from segmentation.volume import Volume
 
 FACES = (("first slice", "last slice"), ("first row", "last row"), ("first column", "last column"))
@@ -96,6 +97,11 @@ class Region:
         if self.wall_limits is not None:
             object.__setattr__(self, "wall_limits", frozen_array(self.wall_limits, self.mask.shape, "wall_limits"))
 
+    @cached_property
+    def filled(self) -> BoolArray:
+        """The mask with its voids closed, (k, l, m)."""
+        return frozen_array(without_voids(self.mask), self.mask.shape, "filled", dtype=bool)
+
 
 @dataclass(frozen=True, kw_only=True)
 class GrowthSettings:
@@ -153,43 +159,45 @@ def grow(
     RegionError
         If the seed lies outside the limits, or the region leaks.
     """
-    values = growing_voxels(volume, smoothing=settings.smoothing)
-    seed_hu = float(values[seed]) / STEPS_PER_HU
-    _check_seed(volume, values, seed, settings)
+    seed_hu = _check_seed(volume, seed, settings)
+    if settings.varied is None:
+        values = GrowingVoxels(volume=volume, smoothing=settings.smoothing)
+        mask, lower, complete = flood_once(
+            lambda box: values.between(box, settings.hu_min, settings.hu_max),
+            seed,
+            values.shape,
+            connectivity=settings.connectivity,
+            voxels_max=int(settings.leak.volume_max / volume.voxel_ml),
+        )
+        if not complete:
+            raise RegionError(_too_much(volume, seed_hu, settings))
+        return _region(volume, seed, mask, lower, settings, None)
+
     # Everything is told in terms of a dark lumen: a bright one is turned upside down.
     bright = settings.varied == "hu_min"
-    fixed = settings.hu_max if bright else settings.hu_min
-    loosest = settings.hu_min if bright else settings.hu_max
+    values = GrowingVoxels(
+        volume=volume, smoothing=settings.smoothing, bright=bright, bound=settings.hu_max if bright else settings.hu_min
+    )
     sign = -1 if bright else 1
-    outside = values > fixed * STEPS_PER_HU if bright else values < fixed * STEPS_PER_HU
-    values *= np.int16(sign)
-    values[outside] = BLOCKED
-    del outside
-    tightest = sign * seed_hu if settings.varied else sign * loosest
-    limits = np.arange(np.ceil(tightest), np.floor(sign * loosest) + 1.0) if settings.varied else np.array([sign * loosest])
-    held_max = settings.leak.volume_max * (CURVE_BEYOND if settings.varied else 1.0)
+    loosest = settings.hu_min if bright else settings.hu_max
+    limits = np.arange(np.ceil(sign * seed_hu), np.floor(sign * loosest) + 1.0)
     flooded = flood(
         values,
         seed,
         np.floor(limits * STEPS_PER_HU).astype(np.int64),
         connectivity=settings.connectivity,
-        voxels_max=int(held_max / volume.voxel_ml),
+        voxels_max=int(settings.leak.volume_max * CURVE_BEYOND / volume.voxel_ml),
         progress=progress,
     )
     volumes = np.asarray(flooded.counts * volume.voxel_ml, dtype=np.float64)
     limits = limits[: len(volumes)]
-    if not settings.varied:
-        if not flooded.complete:
-            raise RegionError(_too_much(volume, seed_hu, settings))
-        return _region(volume, seed, np.concatenate(flooded.joined), settings, None)
-
     leak = leak_index(volumes, settings.leak)
-    chosen = len(limits) - 1 if leak is None else _before_leak(leak, limits, volumes, flooded, values, settings, seed_hu)
+    chosen = len(limits) - 1 if leak is None else _before_leak(leak, limits, volumes, flooded, settings, seed_hu)
     where, point = None, None
     if leak is not None:
         held = np.concatenate(flooded.joined[:leak])
         where = leak_voxel(
-            flooded.joined[leak], held, values.ravel()[flooded.joined[leak]], values.shape, connectivity=settings.connectivity
+            flooded.joined[leak], held, flooded.values[leak], volume.voxels.shape, connectivity=settings.connectivity
         )
         point = volume.to_lps(where)
     curve = GrowthCurve(
@@ -201,7 +209,11 @@ def grow(
         leak_voxel=where,
         leak_point=point,
     )
-    return _region(volume, seed, np.concatenate(flooded.joined[: chosen + 1]), settings, curve)
+    index = np.column_stack(np.unravel_index(np.concatenate(flooded.joined[: chosen + 1]), volume.voxels.shape))
+    first = index.min(axis=0)
+    mask = np.zeros(index.max(axis=0) + 1 - first, dtype=bool)
+    mask[tuple((index - first).T)] = True
+    return _region(volume, seed, mask, (int(first[0]), int(first[1]), int(first[2])), settings, curve)
 
 
 def _before_leak(
@@ -209,15 +221,14 @@ def _before_leak(
     limits: FloatArray,
     volumes: FloatArray,
     flooded: Flood,
-    values: VoxelArray,
     settings: GrowthSettings,
     seed_hu: float,
 ) -> int:
     """Index of the limit to use when the region leaks at `limits[leak]`, told in terms of a dark lumen."""
     # The lumen's own grey is taken a margin before the leak, where what leaks has hardly begun to join.
     chosen = int(np.searchsorted(limits, limits[leak] - settings.leak.margin, side="right")) - 1
-    lumen = np.concatenate(flooded.joined[: max(chosen + 1, 1)])
-    median = float(np.median(values.ravel()[lumen])) / STEPS_PER_HU if len(lumen) else limits[0]
+    lumen = np.concatenate(flooded.values[: max(chosen + 1, 1)])
+    median = float(np.median(lumen)) / STEPS_PER_HU if len(lumen) else limits[0]
     margin = max(settings.leak.margin, settings.leak.margin_share * (limits[leak] - median))
     chosen = int(np.searchsorted(limits, limits[leak] - margin, side="right")) - 1
     sign = -1 if settings.varied == "hu_min" else 1
@@ -230,14 +241,17 @@ def _before_leak(
     return chosen
 
 
-def _check_seed(volume: Volume, values: VoxelArray, seed: tuple[int, int, int], settings: GrowthSettings) -> None:
-    """Refuse a seed outside the limits and name the nearest voxel inside."""
+def _check_seed(volume: Volume, seed: tuple[int, int, int], settings: GrowthSettings) -> float:
+    """The seed's HU as grown; a seed outside the limits is refused and the nearest voxel inside is named."""
     low, high = settings.hu_min * STEPS_PER_HU, settings.hu_max * STEPS_PER_HU
-    if low <= values[seed] <= high:
-        return
+    values = GrowingVoxels(volume=volume, smoothing=settings.smoothing)
     reach = np.ceil(NEAR / volume.spacing).astype(int)
-    lower = np.maximum(np.array(seed) - reach, 0)
-    box = values[tuple(slice(a, s + r + 1) for a, s, r in zip(lower, seed, reach, strict=True))]
+    lower, upper = np.maximum(np.array(seed) - reach, 0), np.minimum(np.array(seed) + reach + 1, volume.voxels.shape)
+    first, second, third = (slice(int(a), int(b)) for a, b in zip(lower, upper, strict=True))
+    box = values[first, second, third]
+    grey = float(box[tuple(np.array(seed) - lower)])
+    if low <= grey <= high:
+        return grey / STEPS_PER_HU
     inside = np.argwhere((box >= low) & (box <= high)) + lower
     hint = f"no voxel within {NEAR:g} mm lies between them; check the seed and the limits"
     if len(inside):
@@ -250,7 +264,7 @@ def _check_seed(volume: Volume, values: VoxelArray, seed: tuple[int, int, int], 
         )
     smoothed = " after smoothing" if settings.smoothing > 0 else ""
     raise RegionError(
-        f"nothing grows: the seed has {values[seed] / STEPS_PER_HU:.0f} HU{smoothed}, "
+        f"nothing grows: the seed has {grey / STEPS_PER_HU:.0f} HU{smoothed}, "
         f"outside the limits {settings.hu_min:g} to {settings.hu_max:g} HU; {hint}"
     )
 
@@ -265,31 +279,37 @@ def _too_much(volume: Volume, seed_hu: float, settings: GrowthSettings) -> str:
 
 
 def _region(
-    volume: Volume, seed: tuple[int, int, int], grown: IntArray, settings: GrowthSettings, curve: GrowthCurve | None
+    volume: Volume,
+    seed: tuple[int, int, int],
+    mask: BoolArray,
+    lower: tuple[int, int, int],
+    settings: GrowthSettings,
+    curve: GrowthCurve | None,
 ) -> Region:
-    """The grown voxels as a cropped mask with what it touches."""
+    """The grown voxels, given in a box from `lower` on, as a cropped mask with what it touches."""
     shape = volume.voxels.shape
-    index = np.column_stack(np.unravel_index(grown, shape))
-    lower = np.maximum(index.min(axis=0) - 1, 0)
-    upper = np.minimum(index.max(axis=0) + 2, shape)
-    mask = np.zeros(upper - lower, dtype=bool)
-    mask[tuple((index - lower).T)] = True
+    ends = bounding_box(mask)
+    grown = mask[tuple(slice(a, b + 1) for a, b in ends)]
+    first = ends[:, 0] + lower
     border = {}
     for axis, names in enumerate(FACES):
-        for name, place in zip(names, (0, shape[axis] - 1), strict=True):
-            count = int(np.count_nonzero(index[:, axis] == place))
-            if count:
-                border[name] = count
+        for name, place, at in zip(
+            names, (0, -1), (first[axis] == 0, ends[axis, 1] + lower[axis] == shape[axis] - 1), strict=True
+        ):
+            if at:
+                border[name] = int(np.count_nonzero(grown.take(place, axis=axis)))
+    origin = np.maximum(first - 1, 0)
+    past = np.minimum(first + grown.shape + 1, shape)
     hu_min, hu_max = settings.hu_min, settings.hu_max
     if curve is not None:
         hu_min, hu_max = (curve.chosen, hu_max) if curve.varied == "hu_min" else (hu_min, curve.chosen)
     return Region(
-        mask=mask,
-        lower=(int(lower[0]), int(lower[1]), int(lower[2])),
+        mask=np.pad(grown, np.column_stack([first - origin, past - first - grown.shape])),
+        lower=(int(origin[0]), int(origin[1]), int(origin[2])),
         seed=seed,
         hu_min=max(hu_min, float(HU_LOWEST)),
         hu_max=min(hu_max, float(HU_HIGHEST)),
-        volume_ml=len(grown) * volume.voxel_ml,
+        volume_ml=np.count_nonzero(grown) * volume.voxel_ml,
         border=border,
         curve=curve,
         smoothing=settings.smoothing,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from segmentation.arrays import FloatArray, VoxelArray
+from segmentation.arrays import BoolArray, FloatArray, VoxelArray
+from segmentation.flooding import BLOCKED, Box
 from segmentation.volume import Volume
 
 # CT numbers outside these are padding, metal or resampling overshoot; both ends of the
@@ -29,33 +31,89 @@ def smoothing_sigmas(volume: Volume, smoothing: float) -> tuple[float, float, fl
     return float(slices), float(rows), float(columns)
 
 
-def growing_voxels(volume: Volume, *, smoothing: float) -> VoxelArray:
-    """The whole volume clipped and smoothed, in eighths of a HU.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GrowingVoxels:
+    """A volume's grey values as regions grow on them, worked out for the box that is asked for.
 
-    Parameters
+    Clipped, smoothed and held in eighths of a HU (HU times `STEPS_PER_HU`). All is told in terms of a dark
+    lumen: a bright one is turned upside down.
+
+    Attributes
     ----------
     volume : Volume
     smoothing : float, mm
-        Standard deviation of the Gaussian, the same in all directions; 0 for none.
-
-    Returns
-    -------
-    (slices, rows, columns) int16 array
-        HU times `STEPS_PER_HU`.
+        Standard deviation of a Gaussian, the same in all directions; 0 for none.
+    bright : bool
+        Whether values are negated.
+    bound : float or None, HU
+        What lies beyond this limit (below it in a dark lumen, above it in a bright one) is `BLOCKED`.
     """
-    values = np.clip(volume.voxels, HU_LOWEST, HU_HIGHEST)
-    values *= STEPS_PER_HU
-    if smoothing > 0:
-        ndimage.gaussian_filter(values, smoothing_sigmas(volume, smoothing), output=values, mode="nearest", truncate=TRUNCATE)
-    return values
+
+    volume: Volume
+    smoothing: float
+    bright: bool = False
+    bound: float | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Slices, rows and columns of the volume."""
+        return self.volume.voxels.shape
+
+    def __getitem__(self, box: Box, /) -> VoxelArray:
+        """Values of the box ``start <= index < stop``, int16; the same whatever box a voxel is asked for in."""
+        outer = _with_reach(box, self.shape, self.reach)
+        values = np.clip(self.volume.voxels[outer], HU_LOWEST, HU_HIGHEST)
+        values *= STEPS_PER_HU
+        if self.smoothing > 0:
+            sigmas = smoothing_sigmas(self.volume, self.smoothing)
+            ndimage.gaussian_filter(values, sigmas, output=values, mode="nearest", truncate=TRUNCATE)
+            values = values[tuple(slice(i.start - o.start, i.stop - o.start) for i, o in zip(box, outer, strict=True))]
+        if self.bound is None:
+            return -values if self.bright else values
+        limit = self.bound * STEPS_PER_HU
+        outside = values > limit if self.bright else values < limit
+        if self.bright:
+            values = -values
+        values[outside] = BLOCKED
+        return values
+
+    def between(self, box: Box, low: float, high: float) -> BoolArray:
+        """Which voxels of the box lie between two limits in HU, both included; the ends of the range are no limits.
+
+        A box with steps is looked at without smoothing.
+        """
+        if self.smoothing > 0 and all(axis.step is None for axis in box):
+            values = self[box]
+            return np.asarray((values >= low * STEPS_PER_HU) & (values <= high * STEPS_PER_HU))
+        voxels = self.volume.voxels[box]
+        found = np.ones(voxels.shape, dtype=bool) if high >= HU_HIGHEST else voxels <= np.floor(high).astype(np.int16)
+        if low > HU_LOWEST:
+            found &= voxels >= np.ceil(low).astype(np.int16)
+        return found
+
+    @property
+    def reach(self) -> tuple[int, ...]:
+        """Voxels by which the smoothing reaches along each axis."""
+        if self.smoothing == 0:
+            return 0, 0, 0
+        return smoothing_reach(smoothing_sigmas(self.volume, self.smoothing))
+
+
+def smoothing_reach(sigmas: tuple[float, float, float]) -> tuple[int, ...]:
+    """Voxels to each side that scipy's Gaussian sums over."""
+    return tuple(int(TRUNCATE * sigma + 0.5) for sigma in sigmas)
+
+
+def _with_reach(box: tuple[slice, ...], shape: tuple[int, ...], reach: tuple[int, ...]) -> tuple[slice, ...]:
+    """The box and `reach` voxels around it, as far as the image goes."""
+    return tuple(slice(max(b.start - r, 0), min(b.stop + r, n)) for b, r, n in zip(box, reach, shape, strict=True))
 
 
 def smoothed_box(volume: Volume, lower: tuple[int, ...], upper: tuple[int, ...], *, smoothing: float) -> FloatArray:
     """HU of the box ``lower <= index < upper``, clipped and smoothed as for growing, but in float64."""
     shape = volume.voxels.shape
     sigmas = smoothing_sigmas(volume, smoothing)
-    reach = [int(TRUNCATE * sigma + 0.5) for sigma in sigmas]
-    outer = tuple(slice(max(lo - r, 0), min(up + r, n)) for lo, up, r, n in zip(lower, upper, reach, shape, strict=True))
+    outer = _with_reach(tuple(map(slice, lower, upper)), shape, smoothing_reach(sigmas))
     values = np.clip(volume.voxels[outer], HU_LOWEST, HU_HIGHEST).astype(np.float64)
     if smoothing > 0:
         values = ndimage.gaussian_filter(values, sigmas, mode="nearest", truncate=TRUNCATE)
