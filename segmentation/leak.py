@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +50,7 @@ class LeakRule:
     margin_share: float = 0.15
 
 
-def leak_index(volumes: FloatArray, rule: LeakRule) -> int | None:
+def leak_index(volumes: FloatArray, rule: LeakRule, *, first: int = 0) -> int | None:
     """Index of the first limit, from tight to loose, at which the region has leaked.
 
     Parameters
@@ -57,6 +58,8 @@ def leak_index(volumes: FloatArray, rule: LeakRule) -> int | None:
     volumes : (n,) float array, ml
         Grown volume at limits 1 HU apart, rising.
     rule : LeakRule
+    first : int
+        Steps at limits before this one are no explosions: the lumen itself joins there, see `noise_end`.
 
     Returns
     -------
@@ -65,23 +68,54 @@ def leak_index(volumes: FloatArray, rule: LeakRule) -> int | None:
     """
     steepest = None
     for index in range(1, len(volumes)):
-        before = volumes[max(index - rule.window, 0) : index]
+        before = volumes[max(index - rule.window, min(first, index)) : index]
         before = before[before >= rule.volume_min]
         if np.any((volumes[index] - before > rule.jump) & (volumes[index] > rule.factor * before)):
             steepest = index - len(before) + 1 + int(np.argmax(np.diff(volumes[index - len(before) : index + 1])))
             break
         if volumes[index] > rule.volume_max:
             # A slow leak: its steepest part lies on the way to the impossible volume.
-            steepest = 1 + int(np.argmax(np.diff(volumes[: index + 1])))
+            start = min(first, index - 1)
+            steepest = 1 + start + int(np.argmax(np.diff(volumes[start : index + 1])))
             break
-    return None if steepest is None else _onset(volumes, steepest, rule)
+    return None if steepest is None else _onset(volumes, steepest, rule, first)
 
 
-def _onset(volumes: FloatArray, steepest: int, rule: LeakRule) -> int:
+def noise_end(values: Sequence[VoxelArray], limits: IntArray, noise: float) -> int:
+    """Index of the first limit that lies clear of the lumen's own noise.
+
+    Within its noise a lumen joins by percolation, almost all of it within a few HU, which is as steep
+    as any leak. Three standard deviations above the median of what is held all of it has joined.
+
+    Parameters
+    ----------
+    values : sequence of (n,) int16 arrays
+        Grey values that joined at each limit, lower is further inside.
+    limits : (m,) int array
+        Rising, in the unit of `values`.
+    noise : float
+        Standard deviation, in the same unit.
+
+    Returns
+    -------
+    int
+        The number of limits reached when none is.
+    """
+    lowest = min((int(part.min()) for part in values if len(part)), default=0)
+    counts = np.zeros(int(limits[-1]) - lowest + 1, dtype=np.int64)
+    for index, (part, limit) in enumerate(zip(values, limits, strict=False)):
+        counts += np.bincount(part.astype(np.int64) - lowest, minlength=len(counts))
+        held = np.cumsum(counts)
+        if held[-1] and limit >= lowest + int(np.searchsorted(held, 0.5 * held[-1])) + 3.0 * noise:
+            return index
+    return len(values)
+
+
+def _onset(volumes: FloatArray, steepest: int, rule: LeakRule, earliest: int) -> int:
     """Back from the steepest step of a leak to where the volume began to run away."""
     index = steepest
     while (
-        index > rule.window
+        index > max(rule.window, earliest + 1)
         and volumes[index - rule.window] >= rule.volume_min
         and volumes[index] >= rule.onset * volumes[index - rule.window]
     ):

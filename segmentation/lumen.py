@@ -14,15 +14,12 @@ from segmentation.anatomy.urinary import URINARY, find_collecting_system
 from segmentation.anatomy.vessel import VESSEL
 from segmentation.errors import CaseError, RegionError
 from segmentation.half_maximum import at_half_maximum
-from segmentation.region_growing import GrowthSettings, Region, grow
+from segmentation.region_growing import NOISE_RADIUS, GrowthSettings, Region, grow
 from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, noise
 from segmentation.tube_shape import TubeShape, refuse_unless_tube, tube_shape
 from segmentation.volume import Volume
 
 PRESETS = {preset.name: preset for preset in (AIRWAY, URINARY, VESSEL, GENERIC)}
-
-# Noise is measured within this distance of the seed: inside a large lumen, near the wall of a small one.
-NOISE_RADIUS = 4.0
 
 # Voids in real airways are under 1 % of the lumen.
 HOLLOW_MAX = 0.15

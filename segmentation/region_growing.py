@@ -11,14 +11,17 @@ import numpy as np
 from segmentation.arrays import BoolArray, FloatArray, frozen_array
 from segmentation.errors import RegionError
 from segmentation.flooding import Flood, bounding_box, flood, flood_once, without_voids
-from segmentation.leak import LeakRule, leak_index, leak_voxel
-from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, STEPS_PER_HU, GrowingVoxels
+from segmentation.leak import LeakRule, leak_index, leak_voxel, noise_end
+from segmentation.smoothing import HU_HIGHEST, HU_LOWEST, STEPS_PER_HU, GrowingVoxels, noise
 from segmentation.volume import Volume
 
 FACES = (("first slice", "last slice"), ("first row", "last row"), ("first column", "last column"))
 
 # A flood for a curve goes on past the greatest plausible volume to show the explosion.
 CURVE_BEYOND = 2.5
+
+# Noise is measured within this distance of the seed: inside a large lumen, near the wall of a small one.
+NOISE_RADIUS = 4.0
 
 # A seed a little off the lumen is answered with the nearest voxel that would do.
 NEAR = 10.0
@@ -181,17 +184,21 @@ def grow(
     sign = -1 if bright else 1
     loosest = settings.hu_min if bright else settings.hu_max
     limits = np.arange(np.ceil(sign * seed_hu), np.floor(sign * loosest) + 1.0)
+    steps = np.floor(limits * STEPS_PER_HU).astype(np.int64)
     flooded = flood(
         values,
         seed,
-        np.floor(limits * STEPS_PER_HU).astype(np.int64),
+        steps,
         connectivity=settings.connectivity,
         voxels_max=int(settings.leak.volume_max * CURVE_BEYOND / volume.voxel_ml),
         progress=progress,
     )
     volumes = np.asarray(flooded.counts * volume.voxel_ml, dtype=np.float64)
     limits = limits[: len(volumes)]
-    leak = leak_index(volumes, settings.leak)
+    settled = noise_end(
+        flooded.values, steps, STEPS_PER_HU * noise(volume, seed, radius=NOISE_RADIUS, smoothing=settings.smoothing)
+    )
+    leak = leak_index(volumes, settings.leak, first=settled)
     chosen = len(limits) - 1 if leak is None else _before_leak(leak, limits, volumes, flooded, settings, seed_hu)
     where, point = None, None
     if leak is not None:

@@ -133,7 +133,7 @@ def block_mean(voxels: VoxelArray, factor: tuple[int, int, int]) -> NDArray[np.f
     return total
 
 
-def noise(volume: Volume, index: tuple[int, int, int], *, radius: float) -> float:
+def noise(volume: Volume, index: tuple[int, int, int], *, radius: float, smoothing: float = 0.0) -> float:
     """Standard deviation of the image noise near one voxel, HU.
 
     Differences of neighbouring voxels in a row, by the median of their absolute
@@ -145,10 +145,23 @@ def noise(volume: Volume, index: tuple[int, int, int], *, radius: float) -> floa
     index : (3,) int tuple
     radius : float, mm
         Half the side of the box in which differences are taken.
+    smoothing : float, mm
+        Standard deviation of a Gaussian whose effect on white noise is taken off; 0 for none.
     """
     reach = np.maximum(np.round(radius / volume.spacing), 1).astype(int)
     box = tuple(slice(max(i - r, 0), i + r + 1) for i, r in zip(index, reach, strict=True))
     patch = np.clip(volume.voxels[box], HU_LOWEST, HU_HIGHEST).astype(np.float64)
     steps = np.abs(np.diff(patch, axis=2))
     # The median of |x - y| of two normal values is 0.6745 sqrt(2) standard deviations.
-    return float(np.median(steps) / (0.6745 * np.sqrt(2.0))) if steps.size else 0.0
+    found = float(np.median(steps) / (0.6745 * np.sqrt(2.0))) if steps.size else 0.0
+    return found * noise_left(smoothing_sigmas(volume, smoothing)) if smoothing > 0 else found
+
+
+def noise_left(sigmas: tuple[float, ...]) -> float:
+    """Standard deviation of white noise of unit deviation after a Gaussian, sigmas in voxels: the norm of its weights."""
+    left = 1.0
+    for sigma in sigmas:
+        reach = int(TRUNCATE * sigma + 0.5)
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+        left *= float(np.linalg.norm(weights / weights.sum()))
+    return left

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from segmentation.errors import CaseError, RegionError
-from segmentation.leak import LeakRule
+from segmentation.leak import LeakRule, leak_index
 from segmentation.lumen import SegmentationSettings, segment_lumen
 from segmentation.region_growing import GrowthSettings, grow
 from segmentation.volume import Volume
@@ -139,3 +139,33 @@ def test_a_generic_lumen_grows_from_seed_and_an_automatic_limit() -> None:
     assert region.curve is not None
     assert region.curve.leak_limit == LUNG
     assert region.volume_ml == pytest.approx(int((volume.voxels <= GATE).sum()) * volume.voxel_ml, abs=1e-9)
+
+
+@pytest.mark.parametrize("noise", [10.0, 15.0])
+def test_a_wide_lumen_joining_within_its_own_noise_is_no_leak(noise: float) -> None:
+    rng = np.random.default_rng(2)
+    z, y, x = np.meshgrid(*(np.arange(n) for n in (100, 33, 33)), indexing="ij")
+    lumen = (np.hypot(y - 16, x - 16) <= 12.0) & (z > 1) & (z < 98)
+    hu = np.where(lumen, -980.0, 40.0) + rng.normal(0.0, noise, size=z.shape)
+    hu[50, 16, 16] = -980.0 - noise  # the search begins at the seed's own value, in a pocket of the noise
+    volume = Volume(np.rint(hu).astype(np.int16), np.eye(4))
+    rule = LeakRule(volume_min=3.0, volume_max=150.0, jump=10.0)
+    region = grow(volume, (50, 16, 16), GrowthSettings(hu_min=-1024.0, hu_max=-650.0, varied="hu_max", leak=rule))
+    curve = region.curve
+    assert curve is not None
+    # The volumes alone look like a leak: that is what the noise has to be told apart from.
+    assert leak_index(curve.volumes_ml, rule) is not None
+    assert curve.leak_limit is None
+    assert region.volume_ml == pytest.approx(lumen.sum() / 1000.0, abs=1e-9)
+
+
+def test_a_leak_beyond_the_noise_of_a_noisy_lumen_is_still_found() -> None:
+    clean = phantom()
+    rng = np.random.default_rng(3)
+    hu = clean.voxels + np.rint(rng.normal(0.0, 12.0, size=clean.voxels.shape))
+    hu[SEED] = LUMEN
+    curve = grow(Volume(hu.astype(np.int16), clean.index_to_lps), SEED, DARK).curve
+    assert curve is not None
+    assert curve.leak_limit is not None
+    # Lung joins within its own noise, of 12 HU.
+    assert abs(curve.leak_limit - LUNG) <= 3 * 12
