@@ -230,6 +230,9 @@ def _provenance(source: Source) -> Fold | None:
         Fact("Input", phrase(f"{item.get('name', '')}, SHA-256 {item.get('sha256', '')}"), code=True)
         for item in provenance.get("inputs") or []
     ]
+    padding = ((source.result.get("details") or {}).get("image") or {}).get("Padding")
+    if padding:
+        facts.append(Fact("Padding", phrase(str(padding))))
     facts.append(Fact("Frame", phrase("patient LPS, mm" if source.result.get("frame") == "LPS" else "axes of the mesh file, mm")))
     if provenance.get("rng_seed") is not None:
         facts.append(Fact("Random seed", phrase(str(provenance["rng_seed"]))))

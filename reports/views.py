@@ -242,7 +242,8 @@ def _features_line(source: Source) -> str:
 
 
 def _facts(review: Review, source: Source, mesh: LightMesh | None, reduced: ReducedVolume | None) -> tuple[Fact, ...]:
-    facts = [Fact(str(term), phrase(str(value))) for term, value in review.facts.items()]
+    # Padding decides nothing by itself: it stands with the provenance.
+    facts = [Fact(str(term), phrase(str(value))) for term, value in review.facts.items() if term != "Padding"]
     deviation = [source.figure(f"details.surface.deviation_mm.{name}", 3, "mm") for name in ("mean", "p95", "max")]
     mean, most, largest = deviation
     if mean is not None and most is not None and largest is not None and not any("eviation" in term for term in review.facts):

@@ -8,8 +8,17 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from segmentation.dicom import FILL_HU, Progress, geometry_facts, inspect_folder, read_series, require_hounsfield, settle_fill
+from segmentation.dicom import (
+    Progress,
+    geometry_facts,
+    inspect_folder,
+    padding_facts,
+    read_series,
+    require_hounsfield,
+    settle_fill,
+)
 from segmentation.errors import VolumeError
+from segmentation.padding import Padding
 from segmentation.volume import Volume
 from segmentation.volume_files import VOLUME_SUFFIXES, read_volume_file
 
@@ -31,12 +40,15 @@ class CtImage:
     inputs : tuple of (str, str)
         Name and SHA-256 of each input. A DICOM series is one entry: the SHA-256 over the
         sorted SHA-256 of its files.
+    padding : Padding
+        Voxels outside what was scanned, which read as air. They matter where a lumen or a way comes near them.
     """
 
     volume: Volume
     facts: Mapping[str, str]
     warnings: tuple[str, ...]
     inputs: tuple[tuple[str, str], ...]
+    padding: Padding
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
@@ -69,7 +81,7 @@ def read_ct(path: Path, *, series: str | None = None, progress: Progress | None 
     _require_dicom(path)
     read = read_series(path, series=series, progress=progress)
     name = f"DICOM series, {read.files} {'file' if read.files == 1 else 'files'}"
-    return CtImage(read.volume, read.facts, read.warnings, ((name, read.digest),))
+    return CtImage(read.volume, read.facts, read.warnings, ((name, read.digest),), read.padding)
 
 
 def inspect_path(path: Path, *, pixels: bool = False, progress: Progress | None = None) -> dict[str, Any]:
@@ -150,12 +162,11 @@ def _read_volume_file(path: Path) -> CtImage:
     read = read_volume_file(path)
     warnings = [f"{read.clipped} voxels beyond the range -32768 to 32767 HU were clipped to it"] if read.clipped else []
     filled = settle_fill(read.voxels)
-    if filled:
-        warnings.append(f"{filled} voxels of fill far below air were set to {FILL_HU} HU")
     require_hounsfield(read.voxels, path.name)
     facts = {
         "Modality": "not stated, taken as CT",
         **geometry_facts(read.index_to_lps, read.voxels.shape),
         "HU range": f"{read.voxels.min()} to {read.voxels.max()} HU",
+        **padding_facts(0, filled.count),
     }
-    return CtImage(Volume(read.voxels, read.index_to_lps), facts, tuple(warnings), read.inputs)
+    return CtImage(Volume(read.voxels, read.index_to_lps), facts, tuple(warnings), read.inputs, filled)

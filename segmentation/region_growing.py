@@ -22,6 +22,8 @@ CURVE_BEYOND = 2.5
 
 # Noise is measured within this distance of the seed: inside a large lumen, near the wall of a small one.
 NOISE_RADIUS = 4.0
+# More than this is structure, as in bone: an image with more noise is smoothed first (see the presets).
+NOISE_MAX = 25.0
 
 # A seed a little off the lumen is answered with the nearest voxel that would do.
 NEAR = 10.0
@@ -195,9 +197,8 @@ def grow(
     )
     volumes = np.asarray(flooded.counts * volume.voxel_ml, dtype=np.float64)
     limits = limits[: len(volumes)]
-    settled = noise_end(
-        flooded.values, steps, STEPS_PER_HU * noise(volume, seed, radius=NOISE_RADIUS, smoothing=settings.smoothing)
-    )
+    spread = min(noise(volume, seed, radius=NOISE_RADIUS, smoothing=settings.smoothing), NOISE_MAX)
+    settled = noise_end(flooded.values, steps, STEPS_PER_HU * spread)
     leak = leak_index(volumes, settings.leak, first=settled)
     chosen = len(limits) - 1 if leak is None else _before_leak(leak, limits, volumes, flooded, settings, seed_hu)
     where, point = None, None

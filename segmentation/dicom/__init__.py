@@ -1,7 +1,7 @@
 """DICOM folder to volume, fail closed: the only home of pydicom and highdicom."""
 
 from segmentation.dicom.derived import DerivedWords
-from segmentation.dicom.facts import describe_orientation, geometry_facts
+from segmentation.dicom.facts import PADDING, describe_orientation, geometry_facts, padding_facts
 from segmentation.dicom.hounsfield import FILL_HU, require_hounsfield, settle_fill, to_hounsfield
 from segmentation.dicom.inspection import inspect_folder
 from segmentation.dicom.reader import DicomVolume, read_series
@@ -12,6 +12,7 @@ from segmentation.dicom.write import SeriesWords, write_series
 
 __all__ = [
     "FILL_HU",
+    "PADDING",
     "DerivedWords",
     "DicomVolume",
     "Progress",
@@ -20,6 +21,7 @@ __all__ = [
     "describe_orientation",
     "geometry_facts",
     "inspect_folder",
+    "padding_facts",
     "read_series",
     "require_hounsfield",
     "scan_folder",

@@ -9,8 +9,11 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.dicom.headers import SliceHeader
+from segmentation.dicom.hounsfield import FILL_HU
 from segmentation.dicom.series import printable
 
+# Where the facts of an image tell of voxels outside the scan.
+PADDING = "Padding"
 _AXES = ("sagittal", "coronal", "axial")
 _ENTRY = {
     "HF": "head first",
@@ -47,6 +50,13 @@ def geometry_facts(index_to_lps: FloatArray, shape: tuple[int, ...]) -> dict[str
         "Slices": str(shape[0]),
         "Orientation": describe_orientation(index_to_lps),
     }
+
+
+def padding_facts(declared: int, filled: int) -> dict[str, str]:
+    """Voxels outside what was scanned, by a declared value or by one far below air, as a printed value; empty without any."""
+    told = [f"{declared} voxels by the declared value"] if declared else []
+    told += [f"{filled} voxels by an undeclared one far below air"] if filled else []
+    return {PADDING: f"{' and '.join(told)} lie outside the scan and read {FILL_HU} HU"} if told else {}
 
 
 def describe_orientation(index_to_lps: FloatArray) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from segmentation.arrays import VoxelArray
 from segmentation.errors import VolumeError
+from segmentation.padding import PackedPlane, Padding, packed_planes
 
 FILL_HU = -1024
 """What voxels outside the image are set to: air."""
@@ -19,21 +20,21 @@ _PADDING_LIMIT = -900
 _LOW, _HIGH = -32768, 32767
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Conversion:
     """What happened to the values of one slice.
 
     Attributes
     ----------
-    padded : int
-        Voxels that held the padding value and were set to `FILL_HU`.
+    padding : (n,) uint8 array or None
+        Voxels that held the padding value and were set to `FILL_HU`, as bits; None without any.
     clipped : int
         Voxels outside the int16 range, set to its nearest end.
     kept_padding : int
         Voxels that hold a declared padding value which reads as tissue; unchanged.
     """
 
-    padded: int
+    padding: PackedPlane | None
     clipped: int
     kept_padding: int
 
@@ -71,16 +72,16 @@ def to_hounsfield(
     np.clip(values, _LOW, _HIGH, out=values)
     out[...] = values
     if padding is None:
-        return Conversion(0, clipped, 0)
+        return Conversion(None, clipped, 0)
     mask = (stored >= padding[0]) & (stored <= padding[1])
     count = int(np.count_nonzero(mask))
     if padding[1] * slope + intercept > _PADDING_LIMIT:
-        return Conversion(0, clipped, count)
+        return Conversion(None, clipped, count)
     out[mask] = FILL_HU
-    return Conversion(count, clipped, 0)
+    return Conversion(packed_planes([mask])[0], clipped, 0)
 
 
-def settle_fill(voxels: VoxelArray) -> int:
+def settle_fill(voxels: VoxelArray) -> Padding:
     """Set an undeclared fill value to `FILL_HU`, in place.
 
     Scanners mark the corners outside the scan circle with one constant far below air
@@ -93,20 +94,24 @@ def settle_fill(voxels: VoxelArray) -> int:
 
     Returns
     -------
-    int
+    Padding
         Voxels changed.
     """
     lowest = int(voxels.min())
     corners = voxels[:, [0, 0, -1, -1], [0, -1, 0, -1]]
+    none = Padding((None,) * len(voxels), *voxels.shape[1:])
     if lowest > -1500 or lowest not in corners:
-        return 0
+        return none
     filled = sum(int(np.count_nonzero(plane == lowest)) for plane in voxels)
     close = sum(int(np.count_nonzero(plane <= lowest + 200)) for plane in voxels) - filled
     if close > 0.01 * filled:
-        return 0
+        return none
+    found: list[PackedPlane | None] = []
     for plane in voxels:
-        plane[plane == lowest] = FILL_HU
-    return filled
+        mask = plane == lowest
+        plane[mask] = FILL_HU
+        found += packed_planes([mask])
+    return Padding(tuple(found), *voxels.shape[1:])
 
 
 def hounsfield_faults(voxels: VoxelArray) -> Iterator[str]:

@@ -68,7 +68,9 @@ def _describe(info: SeriesInfo, scan: Scan, *, pixels: bool) -> dict[str, Any]:
             )
         if pixels and stack is not None and not faults:
             try:
-                warnings += read_admitted(ordered, stack).warnings
+                read = read_admitted(ordered, stack)
+                warnings += read.warnings
+                facts |= read.facts
             except TubeplanError as error:
                 faults.append(str(error))
     return {

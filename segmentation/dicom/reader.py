@@ -20,15 +20,16 @@ import numpy as np
 
 from segmentation.arrays import VoxelArray
 from segmentation.dicom.decode import decode_slice, require_decoder
-from segmentation.dicom.facts import geometry_facts, series_facts
+from segmentation.dicom.facts import geometry_facts, padding_facts, series_facts
 from segmentation.dicom.files import DicomFile, parse, quiet_parser, read_bytes
 from segmentation.dicom.gate import header_faults, header_warnings, order_faults
 from segmentation.dicom.geometry import Stack, build_stack
 from segmentation.dicom.headers import SliceHeader, slice_headers
-from segmentation.dicom.hounsfield import FILL_HU, Conversion, hounsfield_faults, settle_fill, to_hounsfield
+from segmentation.dicom.hounsfield import Conversion, hounsfield_faults, settle_fill, to_hounsfield
 from segmentation.dicom.outliers import judge_slices
 from segmentation.dicom.series import Progress, choose_series, join_faults, scan_folder
 from segmentation.errors import SeriesError
+from segmentation.padding import Padding, together
 from segmentation.volume import Volume
 
 _WORKERS = min(4, os.cpu_count() or 1)
@@ -48,6 +49,8 @@ class DicomVolume:
     digest : str
         SHA-256 over the sorted SHA-256 of the files, in hexadecimal.
     files : int
+    padding : Padding
+        Voxels outside the image, declared or told by their value.
     """
 
     volume: Volume
@@ -55,6 +58,7 @@ class DicomVolume:
     warnings: tuple[str, ...]
     digest: str
     files: int
+    padding: Padding
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +129,7 @@ def read_admitted(slices: Sequence[SliceHeader], stack: Stack, *, progress: Prog
         no HU. The message lacks the folder.
     """
     voxels, hashes, conversions = _read_voxels(slices, progress)
+    declared = Padding(tuple(conversion.padding for conversion in conversions), *slices[0].matrix)
     filled = settle_fill(voxels)
     faults, doubts = judge_slices(voxels, [slice_.name for slice_ in slices])
     faults += hounsfield_faults(voxels)
@@ -134,10 +139,12 @@ def read_admitted(slices: Sequence[SliceHeader], stack: Stack, *, progress: Prog
         **series_facts(slices),
         **geometry_facts(stack.index_to_lps, voxels.shape),
         "HU range": f"{voxels.min()} to {voxels.max()} HU",
+        **padding_facts(declared.count, filled.count),
     }
     digest = hashlib.sha256("".join(sorted(hashes)).encode()).hexdigest()
-    warnings = (*_value_warnings(conversions, filled), *doubts)
-    return DicomVolume(Volume(voxels, stack.index_to_lps), facts, warnings, digest, len(hashes))
+    warnings = (*_value_warnings(conversions), *doubts)
+    volume = Volume(voxels, stack.index_to_lps)
+    return DicomVolume(volume, facts, warnings, digest, len(hashes), together(declared, filled))
 
 
 def admit(headers: Sequence[SliceHeader]) -> Admitted:
@@ -185,7 +192,7 @@ def drop_identical(headers: Sequence[SliceHeader]) -> tuple[tuple[SliceHeader, .
 
 
 def _read_voxels(slices: Sequence[SliceHeader], progress: Progress | None) -> tuple[VoxelArray, list[str], list[Conversion]]:
-    """Voxels in HU, the hash of each file, and what happened to each slice's values."""
+    """Voxels in HU, the hash of each file, and what happened to the values of each slice, in order of the slices."""
     places: dict[DicomFile, list[int]] = defaultdict(list)
     for k, slice_ in enumerate(slices):
         places[slice_.file].append(k)
@@ -195,32 +202,32 @@ def _read_voxels(slices: Sequence[SliceHeader], progress: Progress | None) -> tu
     except MemoryError as error:
         raise SeriesError(f"there is no memory for {np.prod(shape) / 1e9:.1f} billion voxels; crop the series") from error
 
-    def read(file: DicomFile) -> tuple[str, list[Conversion]]:
+    def read(file: DicomFile) -> tuple[str, dict[int, Conversion]]:
         return _read_file(file, {k: slices[k] for k in places[file]}, voxels)
 
     hashes: list[str] = []
-    conversions: list[Conversion] = []
+    conversions: dict[int, Conversion] = {}
     with quiet_parser(), ThreadPoolExecutor(_WORKERS) as pool:
         try:
             for digest, converted in pool.map(read, places):
                 hashes.append(digest)
-                conversions += converted
+                conversions |= converted
                 if progress is not None:
                     progress(len(conversions), len(slices))
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
-    return voxels, hashes, conversions
+    return voxels, hashes, [conversions[k] for k in range(len(slices))]
 
 
-def _read_file(file: DicomFile, wanted: dict[int, SliceHeader], voxels: VoxelArray) -> tuple[str, list[Conversion]]:
+def _read_file(file: DicomFile, wanted: dict[int, SliceHeader], voxels: VoxelArray) -> tuple[str, dict[int, Conversion]]:
     data = read_bytes(file)
     try:
         dataset = parse(io.BytesIO(data), pixels=True)
     except SeriesError as error:
         raise SeriesError(f"{file.name} {error}") from error
     now = {header.frame: header for header in slice_headers(dataset, file)}
-    conversions = []
+    conversions = {}
     for k, slice_ in wanted.items():
         if now.get(slice_.frame) != slice_:
             raise SeriesError(f"{slice_.name} changed while the folder was read; wait until the export is complete")
@@ -229,19 +236,14 @@ def _read_file(file: DicomFile, wanted: dict[int, SliceHeader], voxels: VoxelArr
         except SeriesError as error:
             raise SeriesError(f"{slice_.name} {error}") from error
         slope, intercept = slice_.rescale
-        conversions.append(to_hounsfield(stored, voxels[k], slope=slope, intercept=intercept, padding=slice_.padding))
+        conversions[k] = to_hounsfield(stored, voxels[k], slope=slope, intercept=intercept, padding=slice_.padding)
     return hashlib.sha256(data).hexdigest(), conversions
 
 
-def _value_warnings(conversions: Sequence[Conversion], filled: int) -> list[str]:
-    padded = sum(conversion.padded for conversion in conversions)
+def _value_warnings(conversions: Sequence[Conversion]) -> list[str]:
     clipped = sum(conversion.clipped for conversion in conversions)
     kept = sum(conversion.kept_padding for conversion in conversions)
     warnings = []
-    if padded:
-        warnings.append(f"{padded} voxels of padding outside the image were set to {FILL_HU} HU")
-    if filled:
-        warnings.append(f"{filled} voxels of undeclared fill far below air were set to {FILL_HU} HU")
     if kept:
         warnings.append(f"{kept} voxels hold a declared padding value that reads as tissue; they were left as they are")
     if clipped:

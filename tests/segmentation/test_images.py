@@ -69,12 +69,14 @@ def test_a_mirrored_image_keeps_its_side(tmp_path):
     assert worst_error(read_ct(saved(field_image(axes=np.diag([-1.0, 1.0, 1.0])), tmp_path / "case.nii")).volume) < 0.55
 
 
-def test_fill_far_below_air_becomes_air_and_is_said(tmp_path):
+def test_fill_far_below_air_becomes_air_and_is_a_fact(tmp_path):
     image = field_image()
     image[0:4, 0:4, :] = -3024
     read = read_ct(saved(image, tmp_path / "case.mha"))
     assert np.all(read.volume.voxels[:, :4, :4] == FILL_HU)
-    assert read.warnings == (f"{16 * 12} voxels of fill far below air were set to -1024 HU",)
+    assert read.warnings == ()
+    assert read.facts["Padding"].startswith(f"{16 * 12} voxels by an undeclared one far below air lie outside the scan")
+    assert read.padding.count == 16 * 12
 
 
 def spaced(x: float) -> sitk.Image:

@@ -98,7 +98,7 @@ def lumen_of_ct(case: InputCase, watch: Stopwatch) -> Lumen:
         volume=image.volume,
         region=region,
         facts=facts,
-        warnings=(*image.warnings, *made.notes),
+        warnings=(*image.warnings, *unseen_wall(image.padding.touching(region)), *made.notes),
         inputs=image.inputs,
         details={
             "anatomy": settings.anatomy,
@@ -108,6 +108,16 @@ def lumen_of_ct(case: InputCase, watch: Stopwatch) -> Lumen:
             "growth": growth_details(region),
             "deviation_mm": deviation,
         },
+    )
+
+
+def unseen_wall(padding: int) -> tuple[str, ...]:
+    """What to know of a lumen with so many voxels of padding in it or beside it; padding elsewhere is no matter."""
+    if not padding:
+        return ()
+    return (
+        f"{padding} voxels in the lumen or at its wall lie outside what was scanned: "
+        "the wall there is where the image ends, and the clearance towards it is unknown",
     )
 
 

@@ -196,6 +196,7 @@ def content_of(case: NeedleCase, ground: Ground, outcome: Outcome, warnings: lis
         "target_mm": space(case.target),
         "obstacles": [obstacle_details(given, body) for given, body in zip(case.obstacles, scene.obstacles, strict=True)],
         "warnings": warnings,
+        **({"image": dict(ground.facts)} if ground.facts else {}),
         **outcome.details,
     }
     content: dict[str, Any] = {

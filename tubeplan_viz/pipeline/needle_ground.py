@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from tubeplan_viz.needle.skin import skin_at
 from tubeplan_viz.needle.spatial import SpatialProblem
 
 CORRIDOR_MM = 60.0  # how far around the straight way a label volume is searched for obstacles
+UNSEEN_MM = 5.0  # how near padding may come to the box of entry and target without a word about it
 Reader = Callable[[Path, str | None], CtImage]
 
 
@@ -39,12 +40,15 @@ class Ground:
     inputs : tuple of (str, str)
         Names of the files with their digests.
     warnings : tuple of str
+    facts : mapping of str to str
+        Of the CT, label to printed value.
     """
 
     scene: Scene
     volume: Volume | None = None
     inputs: tuple[tuple[str, str], ...] = ()
     warnings: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
 
 
 def space(place: tuple[float, ...]) -> FloatArray:
@@ -66,10 +70,35 @@ def load_ground(case: NeedleCase) -> Ground:
             warnings.extend(images[path, series].warnings)
         return images[path, series]
 
-    volume = image_of(case.ct, case.series).volume if case.ct is not None else None
+    image = image_of(case.ct, case.series) if case.ct is not None else None
+    if image is not None:
+        warnings.extend(unseen_way(case, image))
     for body in case.obstacles:
         bodies.append(made_obstacle(body, case, inputs, warnings, image_of))
-    return Ground(scene=Scene(tuple(bodies)), volume=volume, inputs=tuple(inputs), warnings=tuple(warnings))
+    return Ground(
+        scene=Scene(tuple(bodies)),
+        volume=None if image is None else image.volume,
+        inputs=tuple(inputs),
+        warnings=tuple(warnings),
+        facts={} if image is None else image.facts,
+    )
+
+
+def unseen_way(case: NeedleCase, image: CtImage) -> tuple[str, ...]:
+    """What to know of a CT that was not scanned everywhere around the straight way; padding elsewhere is no matter."""
+    volume = image.volume
+    index = volume.to_index(np.array([space(case.entry), space(case.target)]))
+    margin = UNSEEN_MM / volume.spacing
+    low = np.clip(np.floor(index.min(axis=0) - margin), 0, volume.voxels.shape).astype(int)
+    high = np.clip(np.ceil(index.max(axis=0) + margin) + 1, low, volume.voxels.shape).astype(int)
+    first, second, third = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    count = image.padding.count_within((first, second, third))
+    if not count:
+        return ()
+    return (
+        f"{count} voxels within {UNSEEN_MM:g} mm of the box of entry and target lie outside what was scanned and read as air: "
+        "what is there is unknown",
+    )
 
 
 def spatial_problem(case: NeedleCase, ground: Ground) -> SpatialProblem:

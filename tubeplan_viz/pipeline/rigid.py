@@ -88,6 +88,7 @@ def run_rigid(case: RigidCase, target: Path, options: RunOptions) -> dict[str, A
                 plan = plan_rigid(problems, case.search, case.weights, amount=case.shrinkage, progress=options.notify)
             with watch.stage("measure"):
                 content = rigid_content(case, given.lesion, given.scene, shrunk, plan, given.warnings)
+                content["details"]["image"] = dict(given.image.facts)
             provenance = Provenance(inputs=tuple(given.inputs), rng_seed=None, settings=rigid_case_table(case))
             if stream is not None:
                 with watch.stage("recording"):

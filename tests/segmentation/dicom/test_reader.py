@@ -114,7 +114,7 @@ def test_values_beyond_sixteen_bits_are_clipped_and_said(maker, tmp_path, stored
 
 
 @pytest.mark.parametrize("written", [-2000, 63536], ids=["as SS", "as US"])
-def test_padding_becomes_air_and_is_said(written, maker, tmp_path, stored_values):
+def test_padding_becomes_air_and_is_a_fact(written, maker, tmp_path, stored_values):
     get_stored, set_stored = stored_values
     slices = maker.slices()
     for slice_ in slices:
@@ -125,7 +125,14 @@ def test_padding_becomes_air_and_is_said(written, maker, tmp_path, stored_values
     read = read_series(maker.save(tmp_path / "case", slices))
     assert np.all(read.volume.voxels[:, :4, :5] == FILL_HU)
     assert read.volume.voxels[:, 4:].min() > -1000
-    assert read.warnings == ("160 voxels of padding outside the image were set to -1024 HU",)
+    # It decides nothing by itself: a fact of the image and no warning.
+    assert read.warnings == ()
+    assert read.facts["Padding"] == "160 voxels by the declared value lie outside the scan and read -1024 HU"
+    assert read.padding.count == 160
+    expected = np.zeros(read.volume.voxels.shape[1:], dtype=bool)
+    expected[:4, :5] = True
+    for number in range(len(slices)):
+        np.testing.assert_array_equal(read.padding.plane(number), expected)
 
 
 def test_a_padding_range_is_masked_whole(maker, tmp_path, stored_values):
@@ -150,7 +157,9 @@ def test_undeclared_fill_far_below_air_becomes_air_and_is_said(maker, tmp_path, 
         set_stored(slice_, stored)
     read = read_series(maker.save(tmp_path / "case", slices))
     assert np.all(read.volume.voxels[:, :4, :5] == FILL_HU)
-    assert read.warnings == ("160 voxels of undeclared fill far below air were set to -1024 HU",)
+    assert read.warnings == ()
+    assert read.facts["Padding"] == "160 voxels by an undeclared one far below air lie outside the scan and read -1024 HU"
+    assert read.padding.count == 160
 
 
 def test_a_padding_value_that_is_tissue_is_left_alone(maker, tmp_path, lies_in_place):
