@@ -5,6 +5,7 @@ from reports.needle_ct import Surroundings
 from reports.render import (
     ReportError,
     render_bronchoscope,
+    render_cohort,
     render_comparison,
     render_matrix,
     render_needle,
@@ -20,6 +21,7 @@ __all__ = [
     "Surroundings",
     "derived_values",
     "render_bronchoscope",
+    "render_cohort",
     "render_comparison",
     "render_matrix",
     "render_needle",

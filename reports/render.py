@@ -16,6 +16,7 @@ import jinja2
 from markupsafe import Markup
 
 from reports.bronchoscope import make_bronchoscope_page, make_reach_page
+from reports.cohort import make_cohort_page
 from reports.comparison import make_comparison_page
 from reports.matrix import make_matrix_page
 from reports.needle import make_needle_page
@@ -140,6 +141,24 @@ def render_matrix(document: Mapping[str, Any], surface: Surface) -> str:
         style=_style() + _part("templates", "matrix.css"),
         page=page,
         matrix_json=embedded(page.document),
+    )
+
+
+def render_cohort(document: Mapping[str, Any]) -> str:
+    """The page of a cohort as HTML, from the content of cohort.json; links lead to the pages of its cases beside it.
+
+    Raises
+    ------
+    ReportError
+        If the document holds numbers that are not finite.
+    """
+    page = make_cohort_page(document)
+    return _filled(
+        "cohort.html.j2",
+        script=_plain() + _part("templates", "cohort.js"),
+        style=_style() + _part("templates", "cohort.css"),
+        page=page,
+        cohort_json=embedded(page.document),
     )
 
 

@@ -12,6 +12,7 @@ from typer.exceptions import TyperException
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
 from tubeplan_viz.cli import (
+    batch,
     bench,
     compare,
     demo,
@@ -31,6 +32,7 @@ from tubeplan_viz.cli import (
     verify,
     view,
 )
+from tubeplan_viz.cohort import CohortInterrupted
 from tubeplan_viz.plan import NoPathError
 
 OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
@@ -65,6 +67,7 @@ for name, command in (
     ("schema", schema.schema),
     ("matrix", matrix.matrix),
     ("reach", reach.reach),
+    ("batch", batch.batch),
     ("bench", bench.bench),
 ):
     app.command(name)(command)
@@ -110,6 +113,9 @@ def status_of(arguments: Sequence[str] | None = None) -> int:
         return end.exit_code
     except (typer.Abort, KeyboardInterrupt):
         complain("interrupted; nothing was written")
+        return INTERRUPTED
+    except CohortInterrupted as fault:
+        complain(str(fault))
         return INTERRUPTED
     except NoPathError as fault:
         complain(f"no path: {fault}")
