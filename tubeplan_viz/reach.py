@@ -22,8 +22,8 @@ from reports import render_reach, write_page
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance
 from tubeplan_viz.bronchoscope.mover import Mover
-from tubeplan_viz.bronchoscope.planner import PlannerSettings, RobotPlan
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings, RobotPlan
 from tubeplan_viz.bronchoscope.target import ROOM, Target
 from tubeplan_viz.bronchoscope.way import make_simulator, plan_way
 from tubeplan_viz.cases.bronchoscope import BronchoscopeCase, bronchoscope_case_table

@@ -12,8 +12,8 @@ import numpy as np
 from tubeplan_viz.bench.anatomies import SHARED, SOURCES, read_lumen
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance, airway_tree
-from tubeplan_viz.bronchoscope.planner import PlannerSettings
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
 from tubeplan_viz.bronchoscope.target import Target
 from tubeplan_viz.bronchoscope.way import LEAK, make_simulator, plan_way
 from tubeplan_viz.pipeline import Notify, grow_tree

@@ -21,8 +21,8 @@ from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance, airway_tree
 from tubeplan_viz.bronchoscope.kinematic import KinematicMover
 from tubeplan_viz.bronchoscope.kinematics import chain_deviation, pose_along
 from tubeplan_viz.bronchoscope.mover import Mover
-from tubeplan_viz.bronchoscope.planner import PlannerSettings, RobotPlan, StageTally
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings, RobotPlan, StageTally
 from tubeplan_viz.bronchoscope.rrt import plan_plain
 from tubeplan_viz.bronchoscope.target import Target, branch_target
 from tubeplan_viz.bronchoscope.way import make_simulator, plan_way

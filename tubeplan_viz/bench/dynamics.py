@@ -18,8 +18,8 @@ from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bronchoscope.dynamics import DynamicsSettings, Simulator
 from tubeplan_viz.bronchoscope.kinematics import pose_along
 from tubeplan_viz.bronchoscope.mover import Command, Step
-from tubeplan_viz.bronchoscope.planner import PlannerSettings
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
 from tubeplan_viz.bronchoscope.way import plan_way
 from tubeplan_viz.pipeline import Notify
 

@@ -14,8 +14,9 @@ from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance
 from tubeplan_viz.bronchoscope.guide import STEP, Guide, make_guide
 from tubeplan_viz.bronchoscope.kinematic import KinematicMover
 from tubeplan_viz.bronchoscope.mover import Mover
-from tubeplan_viz.bronchoscope.planner import Node, PlannerSettings, RobotPlan, plan_segmented
+from tubeplan_viz.bronchoscope.planner import plan_segmented
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import Node, PlannerSettings, RobotPlan
 from tubeplan_viz.bronchoscope.route import Stage, make_stages
 from tubeplan_viz.bronchoscope.sequence import plan_at_once
 from tubeplan_viz.bronchoscope.target import Target

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from segmentation.errors import CaseError
-from tubeplan_viz.bronchoscope.planner import PlannerSettings
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
 from tubeplan_viz.cases.fields import check_keys, number, point, subtable, text, whole
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 from tubeplan_viz.cases.writing import case_file, in_unit_of, written

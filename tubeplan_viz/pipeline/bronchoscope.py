@@ -18,7 +18,7 @@ from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance, airway_tree
 from tubeplan_viz.bronchoscope.mover import Step
-from tubeplan_viz.bronchoscope.planner import Node, RobotPlan
+from tubeplan_viz.bronchoscope.robot_plan import Node, RobotPlan
 from tubeplan_viz.bronchoscope.target import Target, branch_target, lesion_target, point_target
 from tubeplan_viz.bronchoscope.track import tip_track, track_curve
 from tubeplan_viz.bronchoscope.way import Way, make_simulator, plan_way

@@ -11,7 +11,7 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from tubeplan_viz.bronchoscope.mover import Step
-from tubeplan_viz.bronchoscope.planner import Node
+from tubeplan_viz.bronchoscope.robot_plan import Node
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.base import RunRecording, begin
 

@@ -9,8 +9,9 @@ import pytest
 
 from tubeplan_viz.bronchoscope.guide import make_guide
 from tubeplan_viz.bronchoscope.kinematic import KinematicMover, active_points
-from tubeplan_viz.bronchoscope.planner import PlannerSettings, RobotPlan, plan_segmented
+from tubeplan_viz.bronchoscope.planner import plan_segmented
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings, RobotPlan
 from tubeplan_viz.bronchoscope.sequence import Problem, plan_at_once, shaken, shapes
 from tubeplan_viz.bronchoscope.target import Target
 from tubeplan_viz.bronchoscope.way import stages_on

@@ -16,8 +16,8 @@ from segmentation.errors import CaseError
 from tubeplan_viz.bronchoscope import way as way_module
 from tubeplan_viz.bronchoscope.guide import BEND_SHARE, make_guide
 from tubeplan_viz.bronchoscope.kinematic import KinematicMover
-from tubeplan_viz.bronchoscope.planner import PlannerSettings
 from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
 from tubeplan_viz.bronchoscope.rrt import plan_plain
 from tubeplan_viz.bronchoscope.target import branch_target, lesion_target, point_target
 from tubeplan_viz.bronchoscope.way import make_simulator, plan_way
