@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.plan import FlagKind, Limits
@@ -17,6 +18,8 @@ from tubeplan_viz.recording.slices import FIELD_MM, PIXEL_MM
 
 FIELD_OF_VIEW = np.deg2rad(55.0)
 PLAY_FPS = 20.0
+# Of the wall about a path, as a share of the path's extent, this much is in the first view.
+SURROUNDINGS = 0.45
 BACKGROUND = (18, 20, 24)
 SCENE_NAME = "3D (research use, not for clinical decisions)"
 
@@ -44,7 +47,7 @@ class Viewpoint:
     up: FloatArray
 
 
-def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
+def viewpoint(points: FloatArray, frame: str, radius: float = 0.0, wall: FloatArray | None = None) -> Viewpoint:
     """An eye that sees the whole of the points with their bends spread out.
 
     The eye looks across the plane that fits the points best, from the patient's
@@ -57,10 +60,13 @@ def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
     frame : {"LPS", "mesh"}
     radius : float, mm
         Room to leave around the points.
+    wall : (k, 3) float array, mm, optional
+        Points of the wall; those near them, by the share `SURROUNDINGS` of their extent, are seen too, so that what the path leads
+        into is not cut off, and a lung about one short branch is.
     """
-    low, high = points.min(axis=0), points.max(axis=0)
-    target = 0.5 * (low + high)
-    reach = float(np.linalg.norm(points - target, axis=1).max()) + radius
+    seen = points if wall is None else np.concatenate([points, surroundings(points, wall)])
+    target = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    reach = float(np.linalg.norm(seen - target, axis=1).max()) + radius
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     front = np.array([0.25, -1.0, 0.2]) if frame == "LPS" else np.array([0.35, -1.0, 0.45])
     # A path that hardly leaves one line has no plane worth facing.
@@ -70,6 +76,13 @@ def viewpoint(points: FloatArray, frame: str, radius: float = 0.0) -> Viewpoint:
     away /= np.linalg.norm(away)
     up = np.array([0.0, 0.0, 1.0]) if abs(away[2]) < 0.8 else np.array([0.0, -1.0 if frame == "LPS" else 1.0, 0.0])
     return Viewpoint(position=target + away * 1.02 * reach / np.sin(0.5 * FIELD_OF_VIEW), target=target, up=up)
+
+
+def surroundings(points: FloatArray, wall: FloatArray) -> FloatArray:
+    """Points of the wall within a `SURROUNDINGS` share of the points' extent of one of them, (k, 3) mm."""
+    extent = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+    gap = cKDTree(points).query(wall, distance_upper_bound=SURROUNDINGS * extent)[0]
+    return np.asarray(wall[np.isfinite(gap)])
 
 
 def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:

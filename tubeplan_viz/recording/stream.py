@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 LEVELS = ("INFO", "WARN", "ERROR")
 WALK_SLICE_STEP_MM = 4.0
 OVERLAY_SPACING_MM = 1.0
+# As many of the wall's vertices tell how far the first view must reach.
+WALL_POINTS = 2000
 
 
 class Recording(RunRecording):
@@ -49,6 +51,7 @@ class Recording(RunRecording):
         self._slicer: Slicer | None = None
         self._center: FloatArray | None = None
         self._seen: FloatArray | None = None
+        self._wall: FloatArray | None = None
         self._last = 0
 
     @classmethod
@@ -130,6 +133,7 @@ class Recording(RunRecording):
 
         anatomy.log_surface(self._sink, surface, light=self._light)
         self._seen = surface.bounds
+        self._wall = surface.vertices[:: max(len(surface.vertices) // WALL_POINTS, 1)]
         self._show()
 
     def log_centerline(self, centerline: Centerline) -> None:
@@ -271,7 +275,7 @@ class Recording(RunRecording):
 
         if self._seen is None:
             return None
-        return viewpoint(np.asarray(self._seen), self._contents.frame, radius=4.0)
+        return viewpoint(np.asarray(self._seen), self._contents.frame, radius=4.0, wall=self._wall)
 
     def _show(self) -> None:
         self._sink.show(self._blueprint())
