@@ -8,7 +8,7 @@ from typing import Any
 
 from reports.cohort_charts import cohort_charts
 from reports.folds import Fact, Fold
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, sentence
+from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
 from reports.parts import Drawing
 
 # Status of a case -> icon, word on the page, and how the sentence at the top counts it.
@@ -184,7 +184,8 @@ def _limited(source: Source, key: str, limit_key: str, digits: int, unit: str) -
     if value is None:
         return phrase("–")
     if limit is not None:
-        digits = digits_apart(value, limit, digits)
+        apart = digits_apart(value, limit, digits)
+        digits = apart if printed(value, apart) != printed(limit, apart) else digits
     return phrase(source.need(key, digits), ", ", source.figure(limit_key, digits) or "no limit", f" {unit}")
 
 
@@ -198,10 +199,16 @@ def _reason(source: Source, k: int) -> Reason:
         status=str(found["status"]),
         word=word,
         count=source.need(f"reasons.{k}.count", 0),
-        text=sentence(str(found["reason"])),
+        text=_told(str(found["reason"])),
         more=f"as {found['cases'][0]} says it; the others differ in their numbers" if alike else "",
         cases=tuple((str(one), _link(by_id[one])) for one in found["cases"]),
     )
+
+
+def _told(reason: str) -> str:
+    """A reason as a sentence; a file's name at its beginning keeps its letters."""
+    text = sentence(reason)
+    return reason[:1] + text[1:] if reason.partition(" ")[0].endswith(":") else text
 
 
 def _provenance(document: Mapping[str, Any]) -> Fold:

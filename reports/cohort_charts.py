@@ -15,6 +15,9 @@ from reports.svg import LEFT, RIGHT, Axis, Width, frame, grid, in_all_widths, ni
 
 TALL = 190
 BINS = 18
+# Narrowest bin: margins are planned to about a hundredth of a mm, times vary by more than a tenth of a second.
+FINEST = {"mm": 0.02, "s": 0.1}
+FEWEST = 6
 # Status of a run -> class of its bars and word, from below.
 KINDS = {"ok": ("ok", "hold"), "flagged": ("flagged", "flagged"), "infeasible": ("infeasible", "without a path that holds")}
 
@@ -50,8 +53,9 @@ def histogram(values: Sequence[tuple[float, str]], words: str, unit: str, width:
     """
     plain = [value for value, _ in values]
     low, high = min(0.0, *plain), max(0.0, *plain)
-    step = nice_step(max(high - low, 1e-3), BINS)
-    first, last = math.floor(low / step + 1e-9), max(math.ceil(high / step - 1e-9), math.floor(high / step + 1e-9) + 1)
+    step = max(nice_step(max(high - low, FINEST[unit]), BINS), FINEST[unit])
+    first = math.floor(low / step + 1e-9)
+    last = max(math.floor(high / step + 1e-9) + 1, first + FEWEST)
     bins: dict[int, dict[str, int]] = {}
     for value, status in values:
         counts = bins.setdefault(math.floor(value / step + 1e-9), {})

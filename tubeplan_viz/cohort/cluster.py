@@ -46,14 +46,14 @@ def run_there(tasks: Iterator[Task], address: str, folder: Path) -> Generator[An
     for left in folder.glob(f"{ALIVE}*"):  # of a command that was killed: its cases end now
         left.unlink(missing_ok=True)
     try:
-        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+        client = distributed.Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as fault:
         told = f"no Dask scheduler answers there ({type(fault).__name__})"
         raise CohortError(f"--scheduler {address}: {told}; start it or check the address") from None
     handle, alive = tempfile.mkstemp(prefix=ALIVE, dir=folder)
     os.close(handle)
+    ids: dict[Any, str] = {}
     try:
-        ids = {}
         for task in tasks:
             future = client.submit(do_alone, replace(task, alive=alive), key=f"{task.id}-{Path(alive).name}", pure=False)
             ids[future] = task.id

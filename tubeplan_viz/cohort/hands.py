@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO, Any
 
+from tubeplan_viz.cohort.errors import CohortError
 from tubeplan_viz.cohort.tasks import Answer, CaseStatus, Cost, Task
 from tubeplan_viz.cohort.words import without_paths
 
@@ -43,10 +44,17 @@ class Hand:
         self._stage = stage
         self._process: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] | None = None
+        self._ready = False
         self._stopped = False
 
     def run(self, task: Task) -> Answer:
-        """Have a task done; however it ends there is an answer."""
+        """Have a task done; however it ends there is an answer.
+
+        Raises
+        ------
+        CohortError
+            If there is no worker at all: it ends before it can be asked, or is of another version.
+        """
         if self._stopped:
             return Answer(id=task.id, status=None, stopped=True)
         process = self._started()
@@ -56,22 +64,23 @@ class Hand:
             process.stdin.write(json.dumps(task.plain()).encode("utf-8") + b"\n")
             process.stdin.flush()
         except BrokenPipeError:
-            return self._lost(task, said)
+            return self._lost(task)
         assert process.stdout is not None
         for line in process.stdout:
             message = json.loads(line)
             event = message.pop("event")
-            if event == "ready" and message["version"] != task.version:
-                self.stop()
-                reason = f"the worker has tubeplan {message['version']}, asked by {task.version}; install the same there"
-                return Answer(id=task.id, status=CaseStatus.FAULT, reason=reason)
+            if event == "ready":
+                self._ready = True
+                if message["version"] != task.version:
+                    self.stop()
+                    raise CohortError(f"a worker has tubeplan {message['version']}, expected {task.version} as here; install it")
             if event == "stage":
                 self._stage(task.id, message["stage"])
             elif event == "answer":
                 said = message
             elif event == "ended":
                 return answer_of(task, said, message)
-        return self._lost(task, said)
+        return self._lost(task)
 
     def stop(self) -> None:
         """End the worker with what it is doing; nothing half-written is left. No task is taken afterwards."""
@@ -107,6 +116,7 @@ class Hand:
         if self._process is None or self._process.poll() is not None:
             self._errors = self._errors or tempfile.TemporaryFile()  # noqa: SIM115 - closed with the worker
             environment = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
+            self._ready = False
             # A session of its own: Ctrl-C is for the command, which ends its workers in order.
             self._process = subprocess.Popen(
                 COMMAND,
@@ -118,14 +128,18 @@ class Hand:
             )
         return self._process
 
-    def _lost(self, task: Task, said: dict[str, Any]) -> Answer:
+    def _lost(self, task: Task) -> Answer:
         """The worker itself ended."""
         assert self._process is not None
         code = self._process.wait()
         if self._stopped:
             return Answer(id=task.id, status=None, stopped=True)
         self._put_away()
-        return Answer(id=task.id, status=CaseStatus.DIED, reason=f"the worker ended: {ending(code)}{self._last_words()}")
+        if not self._ready:
+            raise CohortError(
+                f"no worker can be started ({ending(code)}){self._last_words()}; does `tubeplan --version` work there?"
+            )
+        return Answer(id=task.id, status=CaseStatus.DIED, reason=f"its worker ended: {ending(code)}")
 
     def _last_words(self) -> str:
         """The last line that the worker wrote on standard error, for a fault that no row can tell otherwise."""
@@ -134,7 +148,7 @@ class Hand:
         size = self._errors.seek(0, os.SEEK_END)
         self._errors.seek(max(size - 2000, 0))
         lines = self._errors.read().decode("utf-8", "replace").strip().splitlines()
-        return f" ({without_paths(lines[-1])})" if lines else ""
+        return f": {without_paths(lines[-1])}" if lines else ""
 
 
 def answer_of(task: Task, said: dict[str, Any], ended: dict[str, Any]) -> Answer:
