@@ -7,6 +7,7 @@ from tubeplan_viz.bench.centerline import centerline
 from tubeplan_viz.bench.certificate import certificate
 from tubeplan_viz.bench.dynamics import dynamics
 from tubeplan_viz.bench.faults import faults
+from tubeplan_viz.bench.frontend import frontend
 from tubeplan_viz.bench.infeasible import infeasible
 from tubeplan_viz.bench.matrix import matrix
 from tubeplan_viz.bench.measures import measures
@@ -21,6 +22,7 @@ from tubeplan_viz.bench.vmtk_line import vmtk_line
 BENCHMARKS: dict[str, Callable[..., list[Row]]] = {
     "paper": paper,
     "centerline": centerline,
+    "frontend": frontend,
     "optimal": optimal,
     "certificate": certificate,
     "faults": faults,

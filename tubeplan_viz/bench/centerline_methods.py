@@ -6,7 +6,6 @@ nothing but what a method needs, it goes the whole way twice and writes points, 
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from importlib import import_module
@@ -24,6 +23,7 @@ from segmentation.mesh_files import read_surface
 from tubeplan_viz.centerline import CenterlineSettings, centerline_tree, trace_centerline, voronoi_graph
 from tubeplan_viz.centerline.trace import least_cost_chains
 from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.memory import peak_memory
 
 # Voxel of the peers that need an image of the lumen (notes on peers: 0.5 mm).
 VOXEL = 0.5
@@ -151,17 +151,6 @@ def main(method: str, mesh: str, ends: str, out: str) -> None:
         points = METHODS[method](Path(mesh), sites)
         seconds.append(time.process_time() - begun)
     np.savez(out, points=points, cold=seconds[0], warm=seconds[1], peak=peak_memory())
-
-
-def peak_memory() -> float:
-    """Most memory that this process has held, MB."""
-    status = Path("/proc/self/status")
-    if status.exists():
-        # What `getrusage` tells on Linux counts the parent's memory at the fork too.
-        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-        return float(line.split()[1]) / 1024.0
-    unit = 1024.0**2 if sys.platform == "darwin" else 1024.0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 if __name__ == "__main__":
