@@ -16,19 +16,14 @@ from dataclasses import replace
 import numpy as np
 
 from segmentation.arrays import FloatArray
+from tubeplan_viz.bronchoscope.aiming import Aim
 from tubeplan_viz.bronchoscope.guide import Guide
-from tubeplan_viz.bronchoscope.kinematic import active_points
 from tubeplan_viz.bronchoscope.mover import Command, Mover, Step
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import Node, PlannerSettings, RobotPlan, StageTally
 from tubeplan_viz.bronchoscope.route import Stage
-from tubeplan_viz.bronchoscope.steering import AIM_ROUNDS, active_shares, advanced, bends_of, command_of, fitted, predicted_tip
+from tubeplan_viz.bronchoscope.steering import bends_of
 from tubeplan_viz.geometry import WallDistance
-
-AWAY_ROUNDS, AWAY_MARGIN = 4, 0.15
-SAG_NOTICED = 0.1  # mm; interpolation between the body's places is off by less
-AT_GOAL = 0.03  # mm
-ROOM_MIN = 0.3  # mm; beside the guide, for its weight where the lumen is hardly wider than the robot
 
 
 def plan_segmented(
@@ -70,17 +65,6 @@ def plan_segmented(
     return _Growth(mover, robot, guide, stages, settings or PlannerSettings(), wall, rng, foresee, watch).run()
 
 
-def sagged(step: Step, robot: Robot) -> FloatArray:
-    """How far the active sections' places lie from those of ideal arcs at the same base and bends, (m, 3) mm."""
-    body = step.body
-    left = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(body[::-1], axis=0), axis=1))])
-    wanted = robot.active_length * (1.0 - active_shares(robot))
-    real = np.column_stack([np.interp(wanted, left, column) for column in body[::-1].T])
-    ideal = active_points(robot, step.base, bends_of(step))[0]
-    off = real - ideal
-    return np.asarray(off) if float(np.linalg.norm(off, axis=1).max()) > SAG_NOTICED else np.zeros_like(off)
-
-
 class _Growth:
     """One growing tree."""
 
@@ -96,8 +80,9 @@ class _Growth:
         foresee: Mover | None,
         watch: Callable[[Node, int], None] | None,
     ) -> None:
-        self.mover, self.robot, self.guide, self.stages = mover, robot, guide, stages
-        self.settings, self.wall, self.rng, self.foresee, self.watch = settings, wall, rng, foresee, watch
+        self.mover, self.guide, self.stages = mover, guide, stages
+        self.settings, self.rng, self.foresee, self.watch = settings, rng, foresee, watch
+        self.aim = Aim(robot=robot, guide=guide, wall=wall, last=stages[-1])
         self.nodes: list[Node] = []
         self.failures: list[int] = []
         self.samples: list[tuple[int, FloatArray]] = []
@@ -193,21 +178,16 @@ class _Growth:
         inserted = float(np.linalg.norm(np.diff(node.step.body, axis=0), axis=1).sum())
         return inserted - 25.0, min(inserted + 25.0, self.guide.length)
 
-    def _line_at(self, s: FloatArray, offset: FloatArray, stage: Stage) -> FloatArray:
-        """The guide bent towards the sample: fully at the sub-goal, fading out over the stage before and beyond it."""
-        fade = np.clip(1.0 - np.abs(s - stage.end) / max(stage.end - stage.begin, 1.0), 0.0, 1.0)
-        return np.asarray(self.guide.at(s) + (fade * fade * (3.0 - 2.0 * fade))[:, None] * offset)
-
     def _push(self, origin: int, tip_at: float, left: float, offset: FloatArray, number: int) -> int | None:
         """One push from a node; the longest first that bends no section too quickly. None if all collide."""
         node, tally = self.nodes[origin], self.tallies[number]
         push = min(self.settings.push_max, left)
         while True:
-            command = self._command(node.step, tip_at, push, offset, self.stages[number])
+            command = self.aim.command(node.step, tip_at, push, offset, self.stages[number])
             turned = float(np.linalg.norm(bends_of(replace(node.step, command=command)) - bends_of(node.step), axis=1).max())
             least = push <= min(self.settings.push_min, left)
             if turned <= self.settings.turn_max or least:
-                if self.foresee is not None and self._collides(self._foreseen(node.step, command)):
+                if self._foreseen(node.step, command):
                     tally.foreseen += 1
                 else:
                     step = self.mover.move(node.step, command)
@@ -221,42 +201,12 @@ class _Growth:
                     return None
             push = max(0.6 * push, min(self.settings.push_min, left))
 
-    def _foreseen(self, step: Step, command: Command) -> Step:
-        assert self.foresee is not None
-        return self.foresee.move(step, command)
+    def _foreseen(self, step: Step, command: Command) -> bool:
+        """Whether the cheap mover, where there is one, sees the command collide."""
+        return self.foresee is not None and self._collides(self.foresee.move(step, command))
 
     def _collides(self, step: Step) -> bool:
         return step.disc_clearance < self.settings.disc_margin or step.body_clearance < self.settings.body_margin
-
-    def _command(self, step: Step, tip_at: float, push: float, offset: FloatArray, stage: Stage) -> Command:
-        """The command after which the active sections lie best on the line, given where the push takes the base."""
-        robot, bends = self.robot, bends_of(step)
-        ahead = tip_at + push
-        places = ahead - robot.active_length * (1.0 - active_shares(robot))
-        line = self._line_at(places, offset, stage)
-        room = np.maximum(self.guide.radius(places) - robot.radius, ROOM_MIN)
-        if stage is self.stages[-1] and ahead > stage.end - 1.0:
-            room[-1] = AT_GOAL  # the tip itself must end on the goal
-        direction = line[-1] - line[-3]
-        direction = direction / np.linalg.norm(direction)
-        # Weight, contact and slack hinges move the real sections off their ideal arcs: as much is expected after the push.
-        sag = sagged(step, robot)
-        line = line - sag
-        wanted, base = bends, step.base
-        for _ in range(AIM_ROUNDS):
-            base = advanced(step.base, robot, bends, wanted, push)
-            wanted = fitted(base, robot, wanted, line, room, direction)
-        for _ in range(AWAY_ROUNDS):
-            points = active_points(robot, base, wanted)[0] + sag
-            gap, _, foot = self.wall.nearest(points)
-            short = robot.radius + AWAY_MARGIN - gap
-            if short.max() <= 0.0:
-                break
-            # The line goes away from the wall where the robot would meet it, and the sections are laid on it anew.
-            line = line + (np.maximum(short, 0.0) / np.maximum(gap, 1e-6))[:, None] * (points - foot)
-            wanted = fitted(base, robot, wanted, line, room, direction)
-            base = advanced(step.base, robot, bends, wanted, push)
-        return command_of(wanted, push)
 
     def _settle(self, here: int, number: int) -> int | None:
         """Correct the tip onto the goal by small commands; the node with the least error, None if none is near enough."""
@@ -266,8 +216,8 @@ class _Growth:
             error = goal - self.nodes[best].tip
             if float(np.linalg.norm(error)) <= self.settings.goal_tolerance:
                 break
-            command = self._correction(self.nodes[best].step, error)
-            if self.foresee is not None and self._collides(self._foreseen(self.nodes[best].step, command)):
+            command = self.aim.correction(self.nodes[best].step, error)
+            if self._foreseen(self.nodes[best].step, command):
                 tally.foreseen += 1
                 break
             step = self.mover.move(self.nodes[best].step, command)
@@ -281,27 +231,6 @@ class _Growth:
             best = made
         clear = self.nodes[best].step.disc_clearance >= 0.0
         return best if clear and self._error(best) <= self.settings.goal_error_max else None
-
-    def _correction(self, step: Step, error: FloatArray) -> Command:
-        """Least change of push and distal bend that moves the tip by `error`, by the kinematic model's derivatives."""
-        robot, bends = self.robot, bends_of(step)
-        # In units of about one millimetre of tip each, so that least squares weighs them alike.
-        scale = np.array([1.0, 1.5 / robot.distal_length, 1.5 / robot.distal_length])
-
-        def tip(x: FloatArray) -> FloatArray:
-            changed = bends.copy()
-            changed[1] += scale[1:] * x[1:]
-            return predicted_tip(advanced(step.base, robot, bends, changed, float(x[0])), robot, changed)[:3, 3]
-
-        zero = tip(np.zeros(3))
-        slopes = np.column_stack([(tip(0.05 * unit) - zero) / 0.05 for unit in np.eye(3)])
-        x = np.linalg.solve(slopes.T @ slopes + 1e-3 * np.eye(3), slopes.T @ error)
-        x *= min(1.0, 3.0 / max(float(np.abs(x).max()), 1e-12))
-        changed = bends.copy()
-        changed[1] += scale[1:] * x[1:]
-        size = float(np.linalg.norm(changed[1]))
-        changed[1] *= min(1.0, robot.bend_max / max(size, 1e-12))
-        return command_of(changed, float(x[0]))
 
     def _add(self, step: Step, parent: int, stage: int, *, accepted: bool) -> int:
         self.nodes.append(Node(step=step, parent=parent, stage=stage, accepted=accepted))

@@ -18,11 +18,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from segmentation.arrays import FloatArray, IntArray
+from tubeplan_viz.bronchoscope.aiming import ROOM_MIN
 from tubeplan_viz.bronchoscope.guide import Guide
 from tubeplan_viz.bronchoscope.kinematic import SPACING, polar
 from tubeplan_viz.bronchoscope.kinematics import STRAIGHT, section_transform
 from tubeplan_viz.bronchoscope.mover import Command, Mover, Step
-from tubeplan_viz.bronchoscope.planner import ROOM_MIN
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import Node, PlannerSettings, RobotPlan
 from tubeplan_viz.bronchoscope.steering import active_shares, advanced, bends_of, command_of, fitted, limited
