@@ -28,7 +28,8 @@ from tubeplan_viz.bronchoscope.target import ROOM, Target
 from tubeplan_viz.bronchoscope.way import make_simulator, plan_way
 from tubeplan_viz.cases.bronchoscope import BronchoscopeCase, bronchoscope_case_table
 from tubeplan_viz.pipeline import Notify, Stopwatch, silent
-from tubeplan_viz.pipeline.bronchoscope import branch_rows, case_name, load_airway
+from tubeplan_viz.pipeline.airway import case_name, load_airway
+from tubeplan_viz.pipeline.bronchoscope_details import branch_rows
 from tubeplan_viz.recording import record_reach
 from tubeplan_viz.result import Provenance, RunFolder, plain
 from tubeplan_viz.tube.bottleneck import widest_way
