@@ -3,8 +3,9 @@
 from tubeplan_viz.instruments.catalogue import CatalogueError, Instrument, make_catalogue, read_catalogue
 from tubeplan_viz.instruments.document import MatrixError, matrix_schema, validate_matrix
 from tubeplan_viz.instruments.matrix import Matrix, find_targets, instrument_matrix
-from tubeplan_viz.instruments.reach import Cell, ReachSettings, Target, Verdict, Witness
+from tubeplan_viz.instruments.reach import ReachSettings
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
+from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness
 
 __all__ = [
     "CatalogueError",

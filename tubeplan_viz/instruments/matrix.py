@@ -18,7 +18,8 @@ from tubeplan_viz.centerline import Endpoint, VoronoiGraph, trace_centerline
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.ceiling import ClearanceCeiling
-from tubeplan_viz.instruments.reach import Cell, Reach, ReachSettings, Target, Verdict, Witness
+from tubeplan_viz.instruments.reach import Reach, ReachSettings
+from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness
 
 # Fewer targets are done in this process sooner than another one starts.
 FEW_TARGETS = 4

@@ -9,21 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from functools import cached_property
 
 import numpy as np
 
-from segmentation.arrays import FloatArray, frozen_array
+from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
-from tubeplan_viz.centerline import Centerline
-from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
 from tubeplan_viz.instruments.track import Track
+from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness, broken, witness_of
 from tubeplan_viz.plan import Limits, NoPathError
 from tubeplan_viz.tube import METHODS, OptimalSettings, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
-from tubeplan_viz.tube.bottleneck import Bottleneck
 from tubeplan_viz.tube.samples import first_spline
 
 # Nearer to the ceiling than this share, a softer instrument gains nothing.
@@ -31,14 +29,6 @@ NEAR_CEILING = 0.99
 # A search for a verdict: where it succeeds it takes under ten rounds; the rest go to instruments that do not fit.
 SEARCH_ROUNDS = 15
 SEARCH_TOLERANCE = 2e-3
-
-
-class Verdict(StrEnum):
-    """What is known of one instrument and one target."""
-
-    FEASIBLE = "feasible"
-    FLAGGED = "flagged"
-    IMPOSSIBLE = "impossible"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,100 +53,6 @@ class ReachSettings:
             raise CaseError(f"the matrix has no method {self.method!r}; expected {' or '.join(METHODS)}")
         if not 0.0 <= self.before_start_mm <= 10_000.0:
             raise CaseError(f"before_start_mm is {self.before_start_mm:g}, expected 0 to 10000 (used up on the way in)")
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Target:
-    """One end point and what is known before any path is searched.
-
-    Attributes
-    ----------
-    label : str
-    point : (3,) float array, mm
-    centerline : Centerline or None
-        From the start; None when no chain of inscribed spheres joins the two.
-    ceiling : Bottleneck
-        Proved: no path keeps more clearance.
-    """
-
-    label: str
-    point: FloatArray
-    centerline: Centerline | None
-    ceiling: Bottleneck
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "point", frozen_array(self.point, (3,), "target"))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Witness:
-    """One path with what holds along all of it.
-
-    Attributes
-    ----------
-    curve : SplineCurve
-    length : float, mm
-    clearance, clearance_at : float, mm
-        Least sampled clearance, and the arc length where it was met.
-    clearance_bound : float, mm
-        Proved least clearance.
-    curvature, curvature_at : float, 1/mm and mm
-    curvature_bound : float, 1/mm
-        Proved largest curvature.
-    """
-
-    curve: SplineCurve
-    length: float
-    clearance: float
-    clearance_at: float
-    clearance_bound: float
-    curvature: float
-    curvature_at: float
-    curvature_bound: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Cell:
-    """One instrument and one target.
-
-    Attributes
-    ----------
-    instrument, target : str
-    verdict : Verdict
-    reason : str
-        One sentence: what holds, what is broken and where, or what proves that no path can be.
-    margin : float or None, mm
-        Least clearance of shaft and rigid tip less the instrument's radius, on the best path found; of an impossible cell
-        the proved most that any path can have.
-    margin_at, margin_point : float or None, mm
-        Where along the path (for the tip: of its front), and the point.
-    margin_of : {"shaft", "tip", "ceiling"} or None
-    bend_radius : float or None, mm
-        Sharpest bend of the path.
-    bend_at : float or None, mm
-    length : float or None, mm
-        Of the path, without what is used up before its start.
-    tip : TipClearance or None
-    inferred_from : str or None
-        The harder instrument whose path this one can follow shape for shape.
-    path : int or None
-        Index into the target's witnesses.
-    """
-
-    instrument: str
-    target: str
-    verdict: Verdict
-    reason: str
-    margin: float | None = None
-    margin_at: float | None = None
-    margin_point: tuple[float, float, float] | None = None
-    margin_of: str | None = None
-    bend_radius: float | None = None
-    bend_at: float | None = None
-    length: float | None = None
-    tip: TipClearance | None = None
-    inferred_from: str | None = None
-    path: int | None = None
 
 
 class Reach:
@@ -376,14 +272,14 @@ class Reach:
         margin, at, point, part = witness.clearance - instrument.radius, witness.clearance_at, (x, y, z), "shaft"
         if tip is not None and tip.sampled < witness.clearance:
             margin, at, point, part = tip.sampled - instrument.radius, tip.arc_length, tip.point, "tip"
-        broken = self.broken(instrument, witness, tip)
-        reason = "; ".join(broken) if broken else "all limits are kept and proved over the whole path"
+        faults = broken(instrument, witness, tip, used=witness.length + self._settings.before_start_mm)
+        reason = "; ".join(faults) if faults else "all limits are kept and proved over the whole path"
         if inferred_from is not None:
             reason = f"can take every shape that {inferred_from} takes on its path, and is no thicker and no shorter"
         return Cell(
             instrument=instrument.name,
             target=self._target.label,
-            verdict=Verdict.FLAGGED if broken and inferred_from is None else Verdict.FEASIBLE,
+            verdict=Verdict.FLAGGED if faults and inferred_from is None else Verdict.FEASIBLE,
             reason=reason,
             margin=margin,
             margin_at=at,
@@ -397,54 +293,9 @@ class Reach:
             path=index,
         )
 
-    def broken(self, instrument: Instrument, witness: Witness, tip: TipClearance | None) -> list[str]:
-        """What this path does not keep, in words; empty when all is proved."""
-        said = []
-        radius = instrument.radius
-        if witness.clearance_bound < radius:
-            said.append(
-                f"clearance falls to {witness.clearance:.2f} mm at {witness.clearance_at:.1f} mm where {radius:.2f} mm are needed"
-                if witness.clearance < radius
-                else "the clearance between the samples could not be proved"
-            )
-        if witness.curvature_bound > instrument.limits.curvature_max:
-            said.append(
-                f"the bend radius falls to {1.0 / witness.curvature:.1f} mm at {witness.curvature_at:.1f} mm "
-                f"where {instrument.bend_radius_min_mm:.1f} mm are allowed"
-                if witness.curvature > instrument.limits.curvature_max
-                else "the curvature between the samples could not be proved"
-            )
-        if tip is not None and tip.bound < radius:
-            said.append(
-                f"the rigid tip of {instrument.rigid_tip_mm:g} mm comes to {tip.sampled:.2f} mm of the wall "
-                f"with its front at {tip.arc_length:.1f} mm where {radius:.2f} mm are required"
-            )
-        used = witness.length + self._settings.before_start_mm
-        if used > instrument.working_length_mm:
-            said.append(f"{used:.0f} mm of instrument are needed, the working length is {instrument.working_length_mm:.0f} mm")
-        return said
-
 
 def quick(settings: OptimalSettings) -> OptimalSettings:
     """Settings for many searches: fewer rounds, ended at a gain that no cell would show."""
     return replace(
         settings, max_rounds=min(settings.max_rounds, SEARCH_ROUNDS), tolerance=max(settings.tolerance, SEARCH_TOLERANCE)
-    )
-
-
-def witness_of(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Witness:
-    """A path measured and proved."""
-    # Both bounds come with the extreme value met on the way and its place: nothing need be sampled for them.
-    clearance = clearance_lower_bound(curve, wall, limit=limits.clearance_min, tolerance=0.002)
-    curvature = curvature_upper_bound(curve, limit=limits.curvature_max)
-    tightest, sharpest = curve.arc_length([clearance.at, curvature.at])
-    return Witness(
-        curve=curve,
-        length=curve.length,
-        clearance=clearance.sampled,
-        clearance_at=float(tightest),
-        clearance_bound=clearance.bound,
-        curvature=curvature.sampled,
-        curvature_at=float(sharpest),
-        curvature_bound=curvature.bound,
     )
