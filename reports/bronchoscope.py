@@ -242,11 +242,11 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
     words = (
         f"The airway with {counts['reached']} branches that the robot reaches and {total - counts['reached']} that it does not."
     )
-    still = still_picture(
-        mesh, np.empty((0, 3)), (), tuple(labels), choose_view(mesh.vertices, str(document["frame"])), words, lines=tuple(lines)
-    )
+    # A mesh says not what is up: the entrance is, as of an airway that hangs from its trachea.
+    entrance, tips = lines[0][1][:1], np.mean([line[-1] for _, line in lines], axis=0)
+    view = choose_view(np.vstack([tips, mesh.vertices, entrance]), str(document["frame"]))
+    still = still_picture(mesh, np.empty((0, 3)), (), tuple(labels), view, words, lines=tuple(lines))
     unproved = counts["bend"] + counts["collision"]
-    proof = " Every refusal is proved by the geometry." if not unproved else ""
     return RobotPage(
         title=f"Reach: case {document['case_id']}",
         case_id=str(document["case_id"]),
@@ -254,7 +254,7 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
         word="Reach map",
         line=f"Bronchoscope robot of {document['robot']['diameter_mm']:g} mm",
         headline=phrase(f"{counts['reached']} of {total} branches are reached"),
-        lead=phrase(f"{counts['diameter']} are proved too narrow; into {unproved} no way was found.{proof}"),
+        lead=phrase(_reach_sentence(counts["diameter"], unproved)),
         warnings=tuple(str(text) for text in document["warnings"]),
         keys=(),
         views_title="Airway",
@@ -265,6 +265,15 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
         folds=(),
         foot=str(document["rule"]),
     )
+
+
+def _reach_sentence(narrow: int, unproved: int) -> str:
+    """What keeps the robot out of the branches that it does not reach."""
+    if not narrow and not unproved:
+        return "No branch is too narrow for the robot, and a way into every one was found."
+    if not unproved:
+        return f"{narrow} {'is' if narrow == 1 else 'are'} proved too narrow: every refusal is proved by the geometry."
+    return f"{narrow or 'None'} {'is' if narrow in (0, 1) else 'are'} proved too narrow; into {unproved} no way was found."
 
 
 def _branches(source: Source) -> Table:

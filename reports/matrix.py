@@ -222,7 +222,8 @@ def _still(document: Mapping[str, Any], surface: Surface) -> Markup:
         if shown is not None:
             lines.append(("still-path", np.asarray(paths[shown]["points_mm"], float)))
     mesh = light_mesh(surface)
-    view = choose_view(mesh.vertices, str(document["frame"]))
+    targets = np.mean([target["point_mm"] for target in document["targets"]], axis=0)
+    view = choose_view(np.vstack([document["start_mm"], mesh.vertices, targets]), str(document["frame"]))
     words = f"The wall of the lumen with the start, {len(document['targets'])} targets and a path to each that has one."
     return still_picture(mesh, np.empty((0, 3)), (), tuple(labels), view, words, lines=tuple(lines), most=MOST_LABELS)
 

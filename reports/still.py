@@ -14,12 +14,15 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from reports.plates import HEIGHT, LETTER, RIM, nearest_edge, raster, stand
 from reports.slices import png
 from reports.svg import tag
 from reports.wall import LightMesh
 from segmentation.arrays import FloatArray
 
 WIDE, TALL, MARGIN = 340, 470, 30
+# Of the picture's foot, left to the legend that lies over it.
+FOOT = 64.0
 SHARPNESS = 2.0  # raster pixels per drawing unit
 WALL_RGB = (141, 117, 101)
 
@@ -120,7 +123,14 @@ def still_picture(
         parts += [_line(line[first : last + 1], f"still-flag {kind}") for kind, first, last in stretches if last > first]
         parts += [tag("circle", class_="end", cx=float(p[0]), cy=float(p[1]), r=4.5) for p in (line[0], line[-1])]
     parts += [_line(place(line), name) for name, line in lines]
-    parts += _labels(sorted(labels, key=lambda label: label.rank)[:most], place)
+    if labels:
+        drawn = raster(
+            (TALL, WIDE),
+            place(mesh.vertices) if mesh is not None else np.empty((0, 2)),
+            [place(line) for line in (path, *(line for _, line in lines)) if len(line)],
+        )
+        shown_labels = sorted(labels, key=lambda label: label.rank)[:most]
+        parts += _labels(shown_labels, place(np.array([label.point for label in shown_labels])), drawn)
     return Markup('<svg class="still" viewBox="0 0 {} {}" role="img" aria-label="{}">{}</svg>').format(
         WIDE, TALL, words, Markup("").join(parts)
     )
@@ -133,43 +143,22 @@ def _line(points: FloatArray, name: str) -> Markup:
     return tag("path", class_=name, d="M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in thin))
 
 
-def _labels(labels: Sequence[Label], place: object) -> list[Markup]:
-    """Labels in two columns at the sides, each side from top to bottom without overlap, with leaders."""
-    assert callable(place)
+def _labels(labels: Sequence[Label], spots: FloatArray, drawn: FloatArray) -> list[Markup]:
+    """Labels beside their places, where they hide least, with leaders."""
+    widths = [LETTER * len(label.text) + RIM for label in labels]
+    corners = stand(spots, widths, drawn, bottom=TALL - FOOT)
     parts: list[Markup] = []
-    spots = {id(label): place(label.point[None])[0] for label in labels}
-    middle = float(np.median([spot[0] for spot in spots.values()])) if spots else 0.0
-    for side in ("left", "right"):
-        mine = [label for label in labels if (spots[id(label)][0] <= middle) == (side == "left")]
-        mine.sort(key=lambda label: float(spots[id(label)][1]))
-        heights = spread([float(spots[id(label)][1]) for label in mine], 21.0, 16.0, TALL - 74.0)
-        for label, height in zip(mine, heights, strict=True):
-            x, y = (float(v) for v in spots[id(label)])
-            wide = 6.6 * len(label.text) + 12
-            edge = max(4.0 + wide, x - 40.0) if side == "left" else min(WIDE - 4.0 - wide, x + 40.0)
-            box = edge - wide if side == "left" else edge
-            parts.append(tag("line", class_=f"leader {label.kind}", x1=x, y1=y, x2=edge, y2=height))
-            parts.append(tag("rect", class_=f"plate {label.kind}", x=box, y=height - 10, width=wide, height=19, rx=4))
-            parts.append(
-                tag("text", label.text, class_=f"plate-text {label.kind}", x=box + wide / 2, y=height + 4, text_anchor="middle")
-            )
+    for label, spot, corner, width in zip(labels, spots, corners, widths, strict=True):
+        if not np.isfinite(corner).all():
+            continue
+        end = nearest_edge(spot, corner[:1], corner[1:], width)[0]
+        x, y = (float(v) for v in corner)
+        parts += [
+            tag("line", class_=f"leader {label.kind}", x1=float(spot[0]), y1=float(spot[1]), x2=float(end[0]), y2=float(end[1])),
+            tag("rect", class_=f"plate {label.kind}", x=x, y=y, width=width, height=HEIGHT, rx=4),
+            tag("text", label.text, class_=f"plate-text {label.kind}", x=x + width / 2, y=y + 14, text_anchor="middle"),
+        ]
     return parts
-
-
-def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Positions in the order given, at least `gap` apart, within `low` to `high` where they fit, near those wanted.
-
-    Examples
-    --------
-    >>> spread([10.0, 12.0], 20.0, 0.0, 100.0)
-    [10.0, 30.0]
-    """
-    out = list(wanted)
-    for k in range(len(out)):
-        out[k] = max(out[k], low if k == 0 else out[k - 1] + gap)
-    for k in reversed(range(len(out))):
-        out[k] = min(out[k], high if k == len(out) - 1 else out[k + 1] - gap)
-    return out
 
 
 def _glass(pixels: FloatArray, mesh: LightMesh) -> NDArray[np.uint8]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from itertools import pairwise
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+from reports.plates import HEIGHT, raster, stand
 from reports.slices import LUNG, SOFT, cut, png, reduce_volume, windows_for
-from reports.still import View, choose_view, spread, still_picture
+from reports.still import View, choose_view, still_picture
 from reports.svg import nice_step
 from reports.wall import light_mesh, rims, sideways_frames
 from segmentation.mesh import Surface
@@ -136,12 +137,27 @@ def test_a_mesh_is_seen_face_on() -> None:
     assert choose_view(flat, "LPS").toward[1] < -0.9
 
 
-@given(st.lists(st.floats(0, 300), min_size=1, max_size=12))
-def test_labels_never_overlap_and_keep_their_order(wanted: list[float]) -> None:
-    placed = spread(sorted(wanted), 20.0, 10.0, 400.0)
-    assert all(b - a >= 20.0 - 1e-9 for a, b in pairwise(placed))
-    assert placed[0] >= 10.0
-    assert placed[-1] <= 400.0
+@given(st.lists(st.tuples(st.floats(20.0, 320.0), st.floats(20.0, 400.0), st.floats(30.0, 150.0)), min_size=1, max_size=8))
+def test_labels_never_overlap_nor_cover_their_own_place(wanted: list[tuple[float, float, float]]) -> None:
+    spots, widths = np.array([spot[:2] for spot in wanted]), [spot[2] for spot in wanted]
+    corners = stand(spots, widths, np.zeros((470, 340)), bottom=406.0)
+    plates = [(*corner, width) for corner, width in zip(corners, widths, strict=True) if np.isfinite(corner).all()]
+    assert np.isfinite(corners[0]).all()
+    for (x, y, width), (other_x, other_y, other_width) in combinations(plates, 2):
+        assert x >= other_x + other_width or other_x >= x + width or abs(y - other_y) >= HEIGHT
+    for (x, y), (left, top), width in zip(spots, corners, widths, strict=True):
+        assert not (left < x < left + width and top < y < top + HEIGHT)
+    assert all(x >= 0.0 and y >= 0.0 and x + width <= 340.0 and y + HEIGHT <= 406.0 for x, y, width in plates)
+
+
+def test_a_label_stands_beside_the_path_and_not_over_it() -> None:
+    across = np.array([[20.0, 200.0], [320.0, 200.0]])
+    drawn = raster((470, 340), np.empty((0, 2)), [across])
+    spot = np.array([[170.0, 200.0]])
+    left, top = stand(spot, [100.0], drawn, bottom=406.0)[0]
+    assert top + HEIGHT < 199.0 or top > 201.0
+    assert abs(top + 0.5 * HEIGHT - 200.0) < 3.0 * HEIGHT
+    assert left - 30.0 < 170.0 < left + 130.0
 
 
 @given(st.floats(1e-4, 1e5), st.integers(2, 12))
