@@ -36,8 +36,8 @@ class Weights:
 
     def __post_init__(self) -> None:
         values = [getattr(self, f.name) for f in fields(self)]
-        if min(values) < 0.0 or sum(values) <= 0.0:
-            raise CaseError(f"the weights are {values}, expected none below 0 and one above")
+        if not np.isfinite(values).all() or min(values) < 0.0 or sum(values) <= 0.0:
+            raise CaseError(f"the weights are {values}, expected finite numbers, none below 0 and one above")
 
     @property
     def row(self) -> FloatArray:
@@ -65,6 +65,11 @@ class Ranking:
     score: FloatArray
     pareto: BoolArray
     best: dict[str, int]
+
+    def __post_init__(self) -> None:
+        count = len(self.score)
+        if set(self.best) != set(BEST) or not all(0 <= index < count for index in self.best.values()):
+            raise ValueError(f"the best paths are {self.best}, expected one of the {count} paths for each of {', '.join(BEST)}")
 
 
 def normalise(goals: FloatArray) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,6 +58,19 @@ def test_bounds_of_the_main_goal_method_hold_and_ties_go_to_the_rest() -> None:
     assert epsilon_best(tied, weights, main="brain") == int(np.argmin(rest))
     with pytest.raises(CaseError, match="no path keeps the bounds"):
         epsilon_best(BY_HAND, weights, main="brain", bounds=np.full(6, -1.0))
+
+
+def test_a_ranking_names_one_of_its_paths_for_every_goal() -> None:
+    whole = rank(ROWS, Weights())
+    for best in ({**whole.best, "tissue": len(ROWS)}, {"overall": 0}):
+        with pytest.raises(ValueError, match="expected one of the 3 paths for each of overall, brain, length, tissue"):
+            replace(whole, best=best)
+
+
+@pytest.mark.parametrize("weight", [-0.1, np.nan, np.inf])
+def test_weights_that_weigh_nothing_are_refused(weight: float) -> None:
+    with pytest.raises(CaseError, match="expected finite numbers, none below 0 and one above"):
+        Weights(orbit=weight)
 
 
 def test_no_path_of_the_pareto_set_is_beaten() -> None:
