@@ -10,19 +10,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet
-from tubeplan_viz.cli.show import progress
+from tubeplan_viz.cli.options import Outputs, outputs_into
+from tubeplan_viz.cli.show import name_pages, progress
 from tubeplan_viz.compare import compare_folders
 
 
+@outputs_into("comparison")
 def compare(
+    *,
     runs: Annotated[list[Path], typer.Argument(metavar="RUN RUN...", help="Two to six run folders.")],
-    output: Output = Path("comparison"),
-    force: Force = False,
-    no_recording: NoRecording = False,
-    no_report: NoReport = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    outputs: Outputs,
 ) -> None:
     """Lay planners, limits, instruments or dates side by side: one page, one recording, compare.json.
 
@@ -31,16 +28,15 @@ def compare(
 
     Example: tubeplan compare run-a run-b -o comparison
     """
-    with progress(quiet or json) as notify:
-        comparison = compare_folders(runs, output, force=force, recording=not no_recording, report=not no_report, notify=notify)
+    with progress(outputs.quiet or outputs.json) as notify:
+        comparison = compare_folders(runs, outputs.output, notify=notify, **outputs.written())
     document = comparison.document
-    if json:
+    if outputs.json:
         keys = ("rows", "differences", "overlay", "notes")
         shown = [{"label": run.label, "name": run.name, "status": run.result["status"]} for run in comparison.runs]
-        files = sorted(entry.name for entry in output.iterdir())
-        typer.echo(
-            json_text.dumps({"runs": shown, **{key: document[key] for key in keys}, "folder": str(output), "files": files})
-        )
+        files = sorted(entry.name for entry in outputs.output.iterdir())
+        told = {"runs": shown, **{key: document[key] for key in keys}, "folder": str(outputs.output), "files": files}
+        typer.echo(json_text.dumps(told))
         return
     for run in comparison.runs:
         planner = run.result["planner"]
@@ -61,6 +57,4 @@ def compare(
         typer.echo(f"not overlaid: {document['overlay']['reason']}")
     for note in document["notes"]:
         typer.echo(f"note: {note}")
-    for name in ("report.html", "recording.rrd"):
-        if (output / name).exists():
-            typer.echo(str(output / name))
+    name_pages(outputs.output)

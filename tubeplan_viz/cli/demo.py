@@ -11,20 +11,17 @@ import typer
 from segmentation.errors import CaseError
 from segmentation.synthetic import CollectingSystem, write_demo_series
 from tubeplan_viz.cases.tube import make_case
-from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet
+from tubeplan_viz.cli.options import Outputs, outputs_into
 from tubeplan_viz.cli.show import progress, report_plan
-from tubeplan_viz.pipeline import RunOptions, run_tube
+from tubeplan_viz.pipeline import run_tube
 
 
+@outputs_into("tubeplan-demo")
 def demo(
-    output: Output = Path("tubeplan-demo"),
+    *,
     goal: Annotated[str, typer.Option("--goal", help='Calyx, e.g. "upper 1", "middle 1", "lower 1".')] = "lower 2",
-    force: Force = False,
     open_report: Annotated[bool, typer.Option("--open", help="Open the report in the browser.")] = False,
-    no_recording: NoRecording = False,
-    no_report: NoReport = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    outputs: Outputs,
 ) -> None:
     """Plan from the ureter to a calyx on a generated urography CT, from DICOM to report.
 
@@ -32,9 +29,10 @@ def demo(
 
     Example: tubeplan demo -o demo --open
     """
+    output = outputs.output
     series = output.resolve().parent / f"{output.resolve().name}-ct"
-    with progress(quiet) as notify:
-        make_room(series, force)
+    with progress(outputs.quiet) as notify:
+        make_room(series, outputs.force)
         truth = write_demo_series(series, progress=lambda done, total: notify("generate CT", done, total))
         case = make_case(
             {
@@ -43,8 +41,8 @@ def demo(
             },
             name="demo",
         )
-        result = run_tube(case, output, RunOptions(force=force, recording=not no_recording, report=not no_report, notify=notify))
-    status = report_plan(result, output, as_json=json)
+        result = run_tube(case, output, outputs.run_options(notify))
+    status = report_plan(result, output, as_json=outputs.json)
     if open_report and (output / "report.html").exists():
         webbrowser.open((output / "report.html").resolve().as_uri())
     raise typer.Exit(status)

@@ -13,14 +13,15 @@ from rich.table import Table
 
 from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
-from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet, case_options
-from tubeplan_viz.cli.show import EXIT_STATUS, progress
+from tubeplan_viz.cli.options import Outputs, case_options, outputs_into
+from tubeplan_viz.cli.show import EXIT_STATUS, name_pages, progress
 from tubeplan_viz.instruments import read_catalogue
 from tubeplan_viz.matrix import run_matrix
 
 SIGNS = {"feasible": "holds", "flagged": "flag", "impossible": "no"}
 
 
+@outputs_into("matrix")
 @case_options
 def matrix(
     *,
@@ -28,12 +29,7 @@ def matrix(
     goals: Annotated[str, typer.Option("--goals", help="Labels of `tubeplan endpoints`, comma-separated, or all.")] = "all",
     catalogue: Annotated[Path | None, typer.Option("--catalogue", help="TOML file of instruments [typical ones].")] = None,
     before_start: Annotated[float, typer.Option("--before-start", help="Instrument used up before the start, mm.")] = 0.0,
-    output: Output = Path("matrix"),
-    force: Force = False,
-    no_recording: NoRecording = False,
-    no_report: NoReport = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    outputs: Outputs,
 ) -> None:
     """Judge every instrument of a catalogue for every target: holds, flagged, or proved impossible.
 
@@ -47,24 +43,22 @@ def matrix(
     planner = {"name": "tube", "method": "optimal", **given.get("planner", {})}
     case = make_case({**given, "planner": planner}, name="options")
     instruments = read_catalogue(catalogue)
-    with progress(quiet or json) as notify:
+    with progress(outputs.quiet or outputs.json) as notify:
         document = run_matrix(
             case,
-            output,
+            outputs.output,
             goals=[part for part in goals.split(",") if part.strip()],
             instruments=instruments,
             before_start_mm=before_start,
-            force=force,
-            recording=not no_recording,
-            report=not no_report,
             notify=notify,
+            **outputs.written(),
         )
-    if json:
+    if outputs.json:
         keys = ("status", "counts", "instruments", "targets", "cells", "timings_s")
-        files = sorted(entry.name for entry in output.iterdir())
-        typer.echo(json_text.dumps({**{key: document[key] for key in keys}, "folder": str(output), "files": files}))
+        files = sorted(entry.name for entry in outputs.output.iterdir())
+        typer.echo(json_text.dumps({**{key: document[key] for key in keys}, "folder": str(outputs.output), "files": files}))
     else:
-        show(document, output)
+        show(document, outputs.output)
     raise typer.Exit(EXIT_STATUS[document["status"]])
 
 
@@ -82,6 +76,4 @@ def show(document: Mapping[str, Any], folder: Path) -> None:
     Console(width=None if Console().is_terminal else wide).print(table)
     counts = document["counts"]
     typer.echo(f"{counts['feasible']} hold, {counts['flagged']} flagged, {counts['impossible']} proved impossible; margins in mm")
-    for name in ("report.html", "recording.rrd"):
-        if (folder / name).exists():
-            typer.echo(str(folder / name))
+    name_pages(folder)

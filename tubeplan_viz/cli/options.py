@@ -117,26 +117,23 @@ def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Where a plan goes and what of it is written and printed: the options that every planning command has."""
+    """Where the outputs go and what of them is written and printed; `connect` of planning commands alone."""
 
     output: Path
     force: bool
     no_recording: bool
     no_report: bool
-    connect: str | None
     json: bool
     quiet: bool
+    connect: str | None = None
+
+    def written(self) -> dict[str, bool]:
+        """What is written, as commands that make no plan take it."""
+        return {"force": self.force, "recording": not self.no_recording, "report": not self.no_report}
 
     def run_options(self, notify: Notify, *, light: bool = False) -> RunOptions:
         """The same as the pipelines take it."""
-        return RunOptions(
-            force=self.force,
-            recording=not self.no_recording,
-            report=not self.no_report,
-            light=light,
-            connect=self.connect,
-            notify=notify,
-        )
+        return RunOptions(**self.written(), light=light, connect=self.connect, notify=notify)
 
 
 OUTPUT_OPTIONS: dict[str, tuple[Any, Any]] = {
@@ -144,16 +141,24 @@ OUTPUT_OPTIONS: dict[str, tuple[Any, Any]] = {
     "force": (Force, False),
     "no_recording": (NoRecording, False),
     "no_report": (NoReport, False),
-    "connect": (Connect, None),
     "json": (Json, False),
     "quiet": (Quiet, False),
 }
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the options of its outputs; it receives them as `outputs`."""
-    declared = {name: kind for name, (kind, _) in OUTPUT_OPTIONS.items()}
-    defaults = {name: default for name, (_, default) in OUTPUT_OPTIONS.items()}
+    """Give a planning command the options of its outputs; it receives them as `outputs`."""
+    return _with_outputs(command, {**OUTPUT_OPTIONS, "connect": (Connect, None)})
+
+
+def outputs_into(folder: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """The same for a command that makes no plan, so that no viewer is fed: `folder` is where it writes unless told otherwise."""
+    return lambda command: _with_outputs(command, {**OUTPUT_OPTIONS, "output": (Output, Path(folder))})
+
+
+def _with_outputs(command: Callable[..., Any], options: Mapping[str, tuple[Any, Any]]) -> Callable[..., Any]:
+    declared = {name: kind for name, (kind, _) in options.items()}
+    defaults = {name: default for name, (_, default) in options.items()}
     return with_options(command, "outputs", declared, defaults, lambda values: Outputs(**values))
 
 

@@ -12,15 +12,16 @@ from rich.console import Console
 from rich.table import Table
 
 from tubeplan_viz.cases.bronchoscope import make_bronchoscope_case
-from tubeplan_viz.cli.options import Force, Json, NoRecording, NoReport, Output, Quiet
+from tubeplan_viz.cli.options import Outputs, outputs_into
 from tubeplan_viz.cli.plan_bronchoscope import Bend, CaseId, Ct, Diameter, HuMax, Mesh, RngSeed, Section, Seed, Start, given
-from tubeplan_viz.cli.show import progress
+from tubeplan_viz.cli.show import name_pages, progress
 from tubeplan_viz.reach import run_reach
 
 # Not reached and not proved impossible: as a plan with flags.
 ALL_DECIDED, UNDECIDED = 0, 3
 
 
+@outputs_into("reach")
 def reach(
     *,
     ct: Ct = None,
@@ -35,12 +36,7 @@ def reach(
     rng_seed: RngSeed = None,
     case_id: CaseId = None,
     time_budget: Annotated[float | None, typer.Option("--time-budget", help="Seconds of sampling per branch [no limit].")] = None,
-    output: Output = Path("reach"),
-    force: Force = False,
-    no_recording: NoRecording = False,
-    no_report: NoReport = False,
-    json: Json = False,
-    quiet: Quiet = False,
+    outputs: Outputs,
 ) -> None:
     """Judge every branch of an airway: reached by the robot, too narrow (proved), or no way found and what stopped it.
 
@@ -50,16 +46,16 @@ def reach(
     planner = {"name": "bronchoscope", "method": method, "start": start, "rng_seed": rng_seed, "time_budget": time_budget}
     own = {"diameter_mm": diameter, "proximal_length_mm": section, "distal_length_mm": section, "bend_max_deg": bend_max}
     case = make_bronchoscope_case({"input": given(inputs), "planner": given(planner), "bronchoscope": given(own)}, name="options")
-    with progress(quiet or json) as notify:
-        document = run_reach(case, output, force=force, recording=not no_recording, report=not no_report, notify=notify)
-    if json:
+    with progress(outputs.quiet or outputs.json) as notify:
+        document = run_reach(case, outputs.output, notify=notify, **outputs.written())
+    if outputs.json:
         rows = [{key: value for key, value in row.items() if key not in ("points_mm", "body_mm")} for row in document["branches"]]
-        files = sorted(entry.name for entry in output.iterdir())
+        files = sorted(entry.name for entry in outputs.output.iterdir())
         keys = ("counts", "method", "robot", "timings_s")
-        told = {**{key: document[key] for key in keys}, "branches": rows, "folder": str(output), "files": files}
+        told = {**{key: document[key] for key in keys}, "branches": rows, "folder": str(outputs.output), "files": files}
         typer.echo(json_text.dumps(told))
     else:
-        show(document, output)
+        show(document, outputs.output)
     raise typer.Exit(ALL_DECIDED if all(row["proved"] for row in document["branches"]) else UNDECIDED)
 
 
@@ -76,6 +72,4 @@ def show(document: Mapping[str, Any], folder: Path) -> None:
     counts = document["counts"]
     open_ones = counts["bend"] + counts["collision"]
     typer.echo(f"{counts['reached']} reached, {counts['diameter']} proved too narrow, {open_ones} without a way found")
-    for name in ("report.html", "recording.rrd"):
-        if (folder / name).exists():
-            typer.echo(str(folder / name))
+    name_pages(folder)

@@ -101,7 +101,12 @@ def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> in
             f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, "
             f"worst {flag['worst']:.4g} {unit} at {flag['worst_at_mm']:.1f} mm"
         )
+    name_pages(folder)
+    return status
+
+
+def name_pages(folder: Path) -> None:
+    """Print where report and recording are, those that were written."""
     for name in ("report.html", "recording.rrd"):
         if (folder / name).exists():
             typer.echo(str(folder / name))
-    return status
