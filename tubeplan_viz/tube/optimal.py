@@ -16,9 +16,11 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.geometry import SplineCurve, clearance_lower_bound
+from tubeplan_viz.tube.basis import Basis
+from tubeplan_viz.tube.nearby import wall_rows
 from tubeplan_viz.tube.passage import OBJECTIVES, OptimalSettings, Passage, Proposal, passage_of
 from tubeplan_viz.tube.samples import Grid, State, evened, first_spline, turn_ends, warm_start
-from tubeplan_viz.tube.socp import MEAN_SHARE, Aim, Basis, StepProblem, wall_rows
+from tubeplan_viz.tube.socp import MEAN_SHARE, Aim, StepProblem
 
 __all__ = ["CLEARANCE_TOLERANCE", "OBJECTIVES", "OptimalSettings", "Passage", "Proposal", "optimise", "passage_of"]
 
@@ -151,10 +153,11 @@ def run_phase(
             break
         if sharp and state.curvature < 1.02 * limit:
             aim = replace(aim, curvature=aim.curvature * limit / state.curvature * CURVATURE_AIM)
-        finer = grid.with_samples(missed)
-        grid, aim = finer, aim.on(grid.clearance_u, finer.clearance_u)
-        control = state.control if not sharp or any(fixed) else evened(grid, state)
-        state = grid.measure(control, limit)
+        before = grid.clearance_u
+        grid, state = grid.with_samples(missed, state)
+        aim = aim.on(before, grid.clearance_u)
+        if sharp and not any(fixed):
+            state = grid.measure(evened(grid, state), limit)
     proved = clearance_lower_bound(grid.curve(state.control), passage.wall, tolerance=tolerance_of(state))
     note = f"clearance proved to be at least {proved.bound:.3f} mm, curvature at most {state.curvature:.4f} 1/mm"
     yield grid, state, replace(proposal(grid, state, aim.goal, (note,)), clearance=proved)
@@ -167,8 +170,11 @@ def tolerance_of(state: State) -> float:
 
 def missed_places(grid: Grid, state: State, aim: Aim) -> FloatArray:
     """Parameters between the samples at which the clearance has a minimum below that of all samples in the aim's span."""
+    wide = grid.wide_gaps(state)
+    if not len(wide):
+        return np.empty(0)
     share = np.arange(1, 4) / 4.0
-    u = (grid.clearance_u[:-1, None] + np.diff(grid.clearance_u)[:, None] * share).ravel()
+    u = (grid.clearance_u[wide, None] + np.diff(grid.clearance_u)[wide, None] * share).ravel()
     basis = Basis.at(grid.knots, u)
     clearance = wall_rows(basis.curve(state.control), basis.curve(state.control, 1), grid.wall).clearance
     padded = np.concatenate([[np.inf], clearance, [np.inf]])
@@ -209,14 +215,14 @@ def rounds(
             idle = idle + 1 if gain < enough else 0
             missing = grid.stretched(state)
             if len(missing):
-                finer = grid.with_samples(missing)
-                grid, aim = finer, aim.on(grid.clearance_u, finer.clearance_u)
-                state = grid.measure(state.control, limit)
+                before = grid.clearance_u
+                grid, state = grid.with_samples(missing, state)
+                aim = aim.on(before, grid.clearance_u)
             yield grid, state, aim, note
         else:
             refused += 1
             if found is not None:
-                state = grid.measure(state.control, limit, known=after)
+                state = grid.warned(state, after)
         if gain < 0.25 * promise:
             trust *= 0.3
         elif gain > 0.7 * promise:

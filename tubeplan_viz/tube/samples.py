@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,15 +10,18 @@ from scipy.interpolate import BSpline
 from scipy.linalg import solveh_banded
 from scipy.sparse import csr_matrix
 
-from segmentation.arrays import FloatArray
+from segmentation.arrays import FloatArray, IntArray
 from tubeplan_viz.geometry import SplineCurve, WallDistance, curvature_upper_bound
 from tubeplan_viz.plan import NoPathError
+from tubeplan_viz.tube.basis import Basis
+from tubeplan_viz.tube.nearby import WallRows, rows_of, wall_rows
 from tubeplan_viz.tube.passage import OptimalSettings, Passage
-from tubeplan_viz.tube.socp import Basis, WallRows, wall_rows
 
 CURVATURE_SAMPLES = 4
-# Distance of samples as a share of the least clearance, and of the excess over it; a share of 2 of the excess misses nothing.
-SHARE, SPARSE = 0.3, 0.8
+# Share of the least clearance by which it may be less between the samples than at them, and a sample's longest reach, mm.
+DIP, WIDEST = 0.003, 1.0
+# What the bend of the path takes from the distance that samples may be apart.
+BENT = 0.85
 # Gaps between samples are halved when they have come to be this many times as long as they may be.
 STRETCHED = 1.3
 
@@ -67,27 +70,47 @@ class Grid:
     def measure(self, control: FloatArray, limit: float, *, known: State | None = None) -> State:
         """Clearances at the samples, with the faces found for a state near by too, and the proved curvature."""
         basis = self.clearance_basis
-        tangent = basis.curve(control, 1)
-        rows = wall_rows(basis.curve(control), tangent, self.wall, None if known is None else known.rows.faces)
-        gaps = np.diff(self.clearance_u)
-        weight = np.linalg.norm(tangent, axis=1) * 0.5 * (np.append(gaps, 0.0) + np.append(0.0, gaps))
+        rows = wall_rows(basis.curve(control), basis.curve(control, 1), self.wall, known=None if known is None else known.rows)
         bound = curvature_upper_bound(self.curve(control), limit=limit, tolerance=0.002).bound
-        return State(control, rows, bound, weight / weight.sum())
+        return State(control, rows, bound, self.weight(control))
+
+    def weight(self, control: FloatArray) -> FloatArray:
+        """Share of the path's length that each sample stands for, (m,)."""
+        gaps = np.diff(self.clearance_u)
+        weight = np.linalg.norm(self.clearance_basis.curve(control, 1), axis=1) * (np.append(gaps, 0.0) + np.append(0.0, gaps))
+        return np.asarray(weight / weight.sum())
+
+    def warned(self, state: State, refused: State) -> State:
+        """A state that knows the faces found where a step from it was refused, too."""
+        nearby = state.rows.nearby
+        found = np.concatenate([nearby.faces, refused.rows.nearby.faces], axis=1)
+        points = self.clearance_basis.curve(state.control)
+        return replace(state, rows=rows_of(points, found, nearby, self.wall))
 
     def inside(self, control: FloatArray) -> bool:
         """Whether all samples but the ends, which may lie on caps, are in the lumen."""
         return bool(self.wall.inside(self.clearance_basis.curve(control)[1:-1]).all())
 
-    def stretched(self, state: State) -> FloatArray:
-        """Middles of the gaps between samples that have become too long for the clearances of a state."""
+    def wide_gaps(self, state: State, times: float = 1.0) -> IntArray:
+        """The gaps between samples that are more than so many `times` as long as the clearances of a state allow."""
         allowed = widest_gap(state.rows.clearance)
         gap = np.linalg.norm(np.diff(self.clearance_basis.curve(state.control), axis=0), axis=1)
-        long = gap > STRETCHED * np.minimum(allowed[:-1], allowed[1:])
-        return np.asarray(0.5 * (self.clearance_u[:-1] + self.clearance_u[1:])[long])
+        return np.flatnonzero(gap > times * np.minimum(allowed[:-1], allowed[1:]))
 
-    def with_samples(self, u: FloatArray) -> Grid:
-        """The same with more samples for the clearance."""
-        return Grid(self.knots, np.union1d(self.clearance_u, u), self.wall)
+    def stretched(self, state: State) -> FloatArray:
+        """Middles of the gaps between samples that have become too long for the clearances of a state."""
+        long = self.wide_gaps(state, STRETCHED)
+        return np.asarray(0.5 * (self.clearance_u[long] + self.clearance_u[long + 1]))
+
+    def with_samples(self, u: FloatArray, state: State) -> tuple[Grid, State]:
+        """The same with more samples for the clearance, and the state seen at them."""
+        u = np.setdiff1d(u, self.clearance_u)
+        place = np.searchsorted(self.clearance_u, u)
+        grid = Grid(self.knots, np.insert(self.clearance_u, place, u), self.wall)
+        basis = Basis.at(self.knots, u)
+        added = wall_rows(basis.curve(state.control), basis.curve(state.control, 1), self.wall)
+        rows = state.rows.with_samples(added, place)
+        return grid, replace(state, rows=rows, weight=grid.weight(state.control))
 
 
 def evened(grid: Grid, state: State) -> FloatArray:
@@ -167,11 +190,12 @@ def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
 def widest_gap(clearance: FloatArray) -> FloatArray:
     """How far apart in mm samples with these clearances may lie.
 
-    The clearance is 1-Lipschitz: between two samples it falls short of what both keep by no more than half their
-    distance. Where it is large the least clearance cannot be missed, and few samples do.
+    A wall point at distance d from a point of a straight path is at most sqrt(d^2 + g^2 / 4) away from the nearer end of
+    the gap g about it. So samples with clearance c keep sqrt(c^2 - g^2 / 4) between them: where c is large the least
+    clearance cannot be missed, and few samples do.
     """
-    least = float(clearance.min())
-    return np.clip(SHARE * least + SPARSE * (clearance - least), 0.05, 1.0)
+    kept = (1.0 - DIP) * float(clearance.min())
+    return np.clip(BENT * 2.0 * np.sqrt(clearance**2 - kept**2), 0.01, WIDEST)
 
 
 def warm_start(passage: Passage, warm: SplineCurve) -> tuple[Grid, FloatArray]:

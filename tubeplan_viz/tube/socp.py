@@ -15,142 +15,17 @@ from functools import cached_property
 
 import clarabel
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.sparse import coo_matrix, csc_matrix
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
-from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.tube.basis import Basis
+from tubeplan_viz.tube.nearby import WallRows, across
 
-# Directions around the path in which wall is looked for, and how far out from it, as a
-# share of the clearance: far enough that the nearest face lies in that direction.
-DIRECTIONS = 12
-PROBE = 0.7
-NEAREST = 6
 # The path's speed may not fall under this share of its mean: a near-cusp hides between samples.
 SPEED_MIN = 0.4
 # Rows for the mean of the clearance next to its least value keep the answer unique.
 MEAN_SHARE = 0.02
 CONE = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Basis:
-    """Values and derivatives of the four B-splines that live at each parameter.
-
-    Attributes
-    ----------
-    first : (k,) int array
-        Index of the first of the four control points.
-    values : (3, k, 4) float array
-        Of the function, its first and its second derivative.
-    """
-
-    first: IntArray
-    values: FloatArray
-
-    @classmethod
-    def at(cls, knots: FloatArray, u: FloatArray) -> Basis:
-        """The basis of clamped cubic `knots` at parameters `u`, (k,)."""
-        n = len(knots) - 4
-        first = np.clip(np.searchsorted(knots, u, side="right") - 4, 0, n - 4).astype(np.int64)
-        spline = BSpline(knots, np.eye(n), 3)
-        columns = first[:, None] + np.arange(4)
-        values = [np.take_along_axis(np.asarray(spline(u, nu=order)), columns, axis=1) for order in range(3)]
-        return cls(first, np.stack(values))
-
-    def curve(self, control: FloatArray, order: int = 0) -> FloatArray:
-        """Points or derivatives of the spline with these control points, (k, 3)."""
-        return np.asarray(np.einsum("kj,kja->ka", self.values[order], control[self.first[:, None] + np.arange(4)]))
-
-
-@dataclass(frozen=True, eq=False)
-class WallRows:
-    """Wall points around samples of the path and their distances.
-
-    Attributes
-    ----------
-    sample : (r,) int array
-        The sample that each row belongs to.
-    normal : (r, 3) float array
-        Unit vector from the wall point to the sample.
-    distance : (r,) float array, mm
-    clearance : (m,) float array, mm
-        Least distance of each sample.
-    faces : (m, k) int array
-        The faces that were found anew for each sample.
-    """
-
-    sample: IntArray
-    normal: FloatArray
-    distance: FloatArray
-    clearance: FloatArray
-    faces: IntArray
-
-    def telling(self, share: float) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Sample, normal and distance of the planes that can be the nearest one while no sample moves by more than `share`
-        of its clearance.
-
-        Plane i lies beyond plane j on the whole ball of radius r when its distance is the larger one by r |n_i - n_j|.
-        """
-        near = np.flatnonzero(self.distance <= self.clearance[self.sample] * (1.0 + 2.0 * share))
-        near = near[np.lexsort((self.distance[near], self.sample[near]))]
-        sample, normal, distance = self.sample[near], self.normal[near], self.distance[near]
-        count = np.bincount(sample, minlength=len(self.clearance))
-        place = np.arange(len(sample)) - (np.cumsum(count) - count)[sample]
-        table = np.full((len(count), int(count.max())), np.inf)
-        table[sample, place] = distance
-        normals = np.zeros((*table.shape, 3))
-        normals[sample, place] = normal
-        beyond = np.zeros(len(sample), dtype=bool)
-        # The planes of a sample stand in the order of their distances: one is hidden by nearer ones alone.
-        for j in range(table.shape[1] - 1):
-            later = place > j
-            apart = np.linalg.norm(normal[later] - normals[sample[later], j], axis=1)
-            reach = share * self.clearance[sample[later]]
-            beyond[later] |= distance[later] - table[sample[later], j] >= reach * apart
-        return sample[~beyond], normal[~beyond], distance[~beyond]
-
-
-def wall_rows(points: FloatArray, tangents: FloatArray, wall: WallDistance, known: IntArray | None = None) -> WallRows:
-    """The nearest faces of each point, those in `DIRECTIONS` directions across the path, and the `known` (m, k) ones.
-
-    All are faces of the wall and their distances exact; that none nearer was missed is left
-    to the certificate.
-    """
-    triangles = wall.triangles
-    m = len(points)
-    near = triangles.likely_nearest(points, NEAREST)
-    gap = np.linalg.norm(points[:, None] - _closest(wall, points, near), axis=2).min(axis=1)
-    side, up = across(tangents)
-    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    offset = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * up[:, None]
-    probes = points[:, None] + PROBE * gap[:, None, None] * offset
-    around = triangles.likely_nearest(probes.reshape(-1, 3)).reshape(m, DIRECTIONS)
-    found = np.concatenate([near, around], axis=1)
-    faces = np.sort(found if known is None else np.concatenate([found, known], axis=1), axis=1)
-    fresh = np.ones(faces.shape, dtype=bool)
-    fresh[:, 1:] = faces[:, 1:] != faces[:, :-1]
-    sample, column = np.nonzero(fresh)
-    foot = triangles.closest(points[sample], faces[sample, column])
-    away = points[sample] - foot
-    distance = np.linalg.norm(away, axis=1)
-    clearance = np.full(m, np.inf)
-    np.minimum.at(clearance, sample, distance)
-    return WallRows(sample.astype(np.int64), away / np.maximum(distance, 1e-12)[:, None], distance, clearance, found)
-
-
-def _closest(wall: WallDistance, points: FloatArray, faces: IntArray) -> FloatArray:
-    count = faces.shape[1]
-    return wall.triangles.closest(np.repeat(points, count, axis=0), faces.ravel()).reshape(len(points), count, 3)
-
-
-def across(tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors perpendicular to each tangent and to each other, (k, 3) each."""
-    unit = tangents / np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
-    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
-    side = np.cross(unit, helper)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return side, np.cross(unit, side)
 
 
 @dataclass(frozen=True, kw_only=True)
