@@ -55,14 +55,14 @@ def isosurface(volume: Volume, region: Region) -> Isosurface:
     shape = np.array(volume.voxels.shape)
     lower, upper = np.array(region.lower), np.array(region.lower) + region.mask.shape
     ends = np.column_stack([_reaches(region.mask, lower == 0, first=True), _reaches(region.mask, upper == shape, first=False)])
-    # One repeated layer and one of opposite sign on each face that cuts the region.
-    field = np.pad(field, [(int(a), int(b)) for a, b in ends], mode="edge")
-    beyond = np.pad(field, [(int(a), int(b)) for a, b in ends], mode="edge")
-    inner = tuple(slice(int(a), n - int(b)) for (a, b), n in zip(ends, beyond.shape, strict=True))
-    outside = -np.abs(beyond)
-    outside[inner] = field
-    # Bounded below so that a dense neighbour of the lumen does not overflow float32 interpolation.
-    vertices, faces, _, _ = marching_cubes(outside, 0.0)
+    if ends.any():
+        # One repeated layer and one of opposite sign on each face that cuts the region.
+        field = np.pad(field, [(2 * int(a), 2 * int(b)) for a, b in ends], mode="edge")
+        for axis, (first, last) in enumerate(ends):
+            layers = np.moveaxis(field, axis, 0)
+            for layer in (*layers[: int(first)], *layers[len(layers) - int(last) :]):
+                np.negative(np.abs(layer, out=layer), out=layer)
+    vertices, faces, _, _ = marching_cubes(field, 0.0)
     index = vertices.astype(np.float64) + lower - 2 * ends[:, 0]
 
     low, high = -0.5, shape - 0.5
@@ -86,18 +86,22 @@ def lumen_field(volume: Volume, region: Region) -> tuple[FloatArray, int]:
     hu = smoothed_box(volume, region.lower, upper, smoothing=region.smoothing)
     # Growing compares in eighths of a HU; half a step puts the limit between two of them.
     half = 0.5 / STEPS_PER_HU
-    field = np.full(hu.shape, np.inf)
+    field: FloatArray | None = None
     if region.hu_max < HU_HIGHEST:
-        field = np.minimum(field, region.hu_max + half - hu)
-    if region.wall_limits is not None:
-        field = np.minimum(field, hu - region.wall_limits)
-    elif region.hu_min > HU_LOWEST:
-        field = np.minimum(field, hu - region.hu_min + half)
+        field = region.hu_max + half - hu
+    if region.wall_limits is not None or region.hu_min > HU_LOWEST:
+        if region.wall_limits is not None:
+            hu -= region.wall_limits
+        else:
+            hu -= region.hu_min
+            hu += half
+        field = hu if field is None else np.minimum(field, hu, out=field)
+    field = np.ones(region.mask.shape) if field is None else np.abs(field, out=field)
     inside = region.filled
-    field = np.where(np.isinf(field), 1.0, np.abs(field))
     clear = CLEAR * 2.0 * float(np.median(field[_skin(inside)]))
-    field = np.maximum(field, max(clear, 1e-6))
-    return np.where(inside, field, -field), int(inside.sum() - region.mask.sum())
+    np.maximum(field, max(clear, 1e-6), out=field)
+    np.negative(field, out=field, where=~inside)
+    return field, int(np.count_nonzero(inside) - np.count_nonzero(region.mask))
 
 
 def _skin(inside: BoolArray) -> BoolArray:
