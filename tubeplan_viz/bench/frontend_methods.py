@@ -1,7 +1,8 @@
 """The ways from files to voxels, from voxels to a region and from a region to triangles that are compared.
 
-Run as a process of its own, ``python -P frontend_methods.py STEP METHOD FOLDER OUT``, which imports
-what one method needs: it goes its way `RUNS` times and writes the result, CPU seconds of each run and the peak memory.
+Run as a process of its own, ``python -P frontend_methods.py STEP METHOD FOLDER OUT``, it imports only what one method
+needs, so that the memory of one is not counted with another, goes its way `RUNS` times and writes the result, the
+CPU seconds of each run and the peak memory.
 """
 
 from __future__ import annotations
@@ -13,21 +14,18 @@ import time
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from segmentation.arrays import BoolArray, IntArray, VoxelArray
-from segmentation.images import read_ct
-from segmentation.isosurface import isosurface
-from segmentation.leak import LeakRule
-from segmentation.lumen import SegmentationSettings, segment_lumen
-from segmentation.region_growing import GrowthSettings, Region, grow
-from segmentation.surface import SurfaceSettings, lumen_surface
-from segmentation.volume import Volume
 from tubeplan_viz.memory import peak_memory
 
-RUNS = {"read": 2, "grow": 3, "surface": 3, "whole": 1}
+if TYPE_CHECKING:
+    from segmentation.region_growing import GrowthSettings, Region
+    from segmentation.volume import Volume
+
+RUNS = {"read": 2, "grow": 3, "surface": 2, "whole": 1}
 OURS = "tubeplan"
 Result = dict[str, Any]
 Way = Callable[[Path, dict[str, Any]], Callable[[], Result]]
@@ -35,7 +33,14 @@ Way = Callable[[Path, dict[str, Any]], Callable[[], Result]]
 
 def read_ours(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
     """The project's own reader, its gate and checksums included."""
-    return lambda: {"digest": digest(read_ct(Path(given["ct"])).volume.voxels)}
+    from segmentation.images import read_ct
+
+    def run() -> Result:
+        volume = read_ct(Path(given["ct"])).volume
+        # Slices from below upwards, as the peers have them.
+        return {"digest": digest(volume.voxels if volume.index_to_lps[2, 0] > 0 else volume.voxels[::-1])}
+
+    return run
 
 
 def read_simpleitk(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
@@ -77,6 +82,9 @@ def loaded(folder: Path) -> VoxelArray:
 
 def grow_ours(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
     """The project's growing at fixed limits, or with the search where one limit is automatic."""
+    from segmentation.region_growing import grow
+    from segmentation.volume import Volume
+
     volume = Volume(loaded(folder), np.load(folder / "matrix.npy"))
     settings = growth(given)
 
@@ -89,6 +97,9 @@ def grow_ours(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
 
 def growth(given: dict[str, Any]) -> GrowthSettings:
     """Settings of a case; `varied` is null for fixed limits."""
+    from segmentation.leak import LeakRule
+    from segmentation.region_growing import GrowthSettings
+
     rule = LeakRule(**given["leak"])
     return GrowthSettings(
         hu_min=given["hu_min"], hu_max=given["hu_max"], varied=given["varied"], leak=rule, smoothing=given["smoothing"]
@@ -132,6 +143,9 @@ def flood_simpleitk(voxels: VoxelArray, seed: tuple[int, int, int], low: float, 
 
 def given_region(folder: Path) -> tuple[Volume, Region]:
     """The volume and the region that was grown in it."""
+    from segmentation.region_growing import Region
+    from segmentation.volume import Volume
+
     with np.load(folder / "region.npz") as found:
         region = Region(
             mask=found["mask"],
@@ -154,6 +168,9 @@ def triple(numbers: IntArray) -> tuple[int, int, int]:
 
 def surface_ours(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
     """Field and triangles of the region."""
+    from segmentation.isosurface import isosurface
+    from segmentation.region_growing import Region
+
     volume, region = given_region(folder)
 
     def run() -> Result:
@@ -162,12 +179,6 @@ def surface_ours(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
         return {"faces": len(isosurface(volume, fresh).faces)}
 
     return run
-
-
-def surface_whole(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
-    """All that the project does for a surface: triangles, smoothing, caps, and the distance to the CT's isosurface."""
-    volume, region = given_region(folder)
-    return lambda: {"faces": len(lumen_surface(volume, region, SurfaceSettings()).surface.faces)}
 
 
 def surface_skimage(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
@@ -199,6 +210,9 @@ def surface_vtk(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
 
 def whole_ours(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
     """From files to the smoothed, closed surface, with the seconds of each stage."""
+    from segmentation.images import read_ct
+    from segmentation.lumen import SegmentationSettings, segment_lumen
+    from segmentation.surface import SurfaceSettings, lumen_surface
 
     def run() -> Result:
         times = [(time.process_time(), time.perf_counter())]
@@ -232,7 +246,6 @@ WAYS: dict[str, dict[str, Way]] = {
         OURS: surface_ours,
         "scikit-image marching cubes": surface_skimage,
         "VTK flying edges": surface_vtk,
-        "tubeplan, smoothed and measured": surface_whole,
     },
     "whole": {OURS: whole_ours},
 }

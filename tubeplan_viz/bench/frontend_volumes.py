@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -36,16 +35,10 @@ class Chest:
     volume: Volume
     airway: Airway
 
-    @cached_property
-    def lung(self) -> tuple[int, int, int]:
-        """A voxel in the middle of the left lung."""
-        index = np.round(self.volume.to_index(LUNG_AT)).astype(int)
-        return int(index[0]), int(index[1]), int(index[2])
-
-    def lumen(self, lower: tuple[int, ...], upper: tuple[int, ...]) -> BoolArray:
-        """Voxels of the box ``lower <= index < upper`` whose middles lie in the true lumen."""
+    def lumen(self, volume: Volume, lower: tuple[int, ...], upper: tuple[int, ...]) -> BoolArray:
+        """Voxels of the box ``lower <= index < upper`` of a volume of the same chest whose middles lie in the true lumen."""
         index = np.stack(np.meshgrid(*(np.arange(a, b) for a, b in zip(lower, upper, strict=True)), indexing="ij"), axis=-1)
-        points = self.volume.to_lps(index.reshape(-1, 3))
+        points = volume.to_lps(index.reshape(-1, 3))
         return np.asarray(self.airway.clearance(points) > 0.0).reshape(index.shape[:3])
 
 
