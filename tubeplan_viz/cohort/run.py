@@ -21,7 +21,7 @@ from tubeplan_viz.cohort.here import run_here, usable_processors
 from tubeplan_viz.cohort.inputs import Digests
 from tubeplan_viz.cohort.journal import Journal
 from tubeplan_viz.cohort.manifest import CohortCase, Manifest
-from tubeplan_viz.cohort.state import Wanted, case_key, forget, result_digest, standing
+from tubeplan_viz.cohort.state import Wanted, case_key, forget, result_digest, standing, sweep
 from tubeplan_viz.cohort.summary import SUMMARY_FILES, cohort_document, row_of, write_summary
 from tubeplan_viz.cohort.tasks import Answer, CaseStatus, Cost, Task
 from tubeplan_viz.cohort.words import without_paths
@@ -124,7 +124,7 @@ def run_cohort(manifest: Manifest, folder: Path, settings: CohortSettings, *, wa
                 f"interrupted; {here.done} of {len(manifest.cases)} cases are done and kept, the same command goes on from there"
             ) from None
         rows = [row_of(case, folder, journal.of(case.id).ended) for case in manifest.cases]
-        others = sorted(place.parent.name for place in folder.glob(f"*/{RESULT}"))
+        others = sorted(place.parent.name for place in folder.glob(f"[!.]*/{RESULT}"))
         document = cohort_document(
             manifest,
             rows,
@@ -191,6 +191,7 @@ class Pass:
         wanted = Wanted(recording=settings.recording, report=settings.report, retry_failed=settings.retry_failed)
         for case in self.manifest.cases:
             target = self.folder / case.id
+            sweep(target)
             try:
                 key = case_key(case, target, self._digests)
             except CaseError as fault:  # gone or locked since the manifest was read

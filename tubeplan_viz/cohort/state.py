@@ -92,3 +92,10 @@ def forget(target: Path) -> None:
     """Remove the run of an earlier form of a case that now has none; a folder that holds anything else stays."""
     if is_run(target) and {entry.name for entry in target.iterdir()} <= set(FILES):
         shutil.rmtree(target)
+
+
+def sweep(target: Path) -> None:
+    """Remove what a killed run left beside its folder under hidden names."""
+    for pattern in (f".{target.name}.partial-*", f".{target.name}.replaced-*"):
+        for rest in target.parent.glob(pattern):
+            shutil.rmtree(rest, ignore_errors=True)

@@ -13,7 +13,6 @@ import json
 import os
 import resource
 import selectors
-import shutil
 import signal
 import sys
 import time
@@ -26,6 +25,7 @@ from typing import Any, NoReturn
 
 from segmentation.errors import TubeplanError
 from tubeplan_viz import __version__
+from tubeplan_viz.cohort.state import sweep
 from tubeplan_viz.cohort.tasks import CaseStatus, Task
 from tubeplan_viz.cohort.words import fault_words, without_paths
 from tubeplan_viz.pipeline import RunOptions
@@ -65,71 +65,61 @@ def _leave(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def attend(task: Task, send: Send) -> dict[str, Any]:
-    """Give a task a process and wait for it: exit status, seconds, memory, and whether it was ended from here."""
+    """Give a task a process and wait for it: exit status, seconds, memory, and why it was ended from here, if it was."""
     begun = time.monotonic()
+    # The child holds one end of a pipe as long as it lives, on whatever system.
+    alive, held = os.pipe()
     child = os.fork()
     if child == 0:
+        os.close(alive)
         _be_the_child(task, send)
+    os.close(held)
     with suppress(OSError):  # the child does the same; whoever is first, the group is there before it can be asked to end
         os.setpgid(child, child)
     ended = "unwanted"
     try:
-        ended = _wait(child, task, begun)
+        ended = _wait(alive, task, begun)
     finally:
         if ended:
-            _end(child)
+            _end(child, alive)
         _, status, used = os.wait4(child, 0)
-        _clean(Path(task.target))
+        os.close(alive)
+        sweep(Path(task.target))
     return {
         "exit": os.waitstatus_to_exitcode(status),
         "ended": ended,
         "wall_s": round(time.monotonic() - begun, 3),
         "cpu_s": round(used.ru_utime + used.ru_stime, 3),
-        "peak_memory_mb": round(used.ru_maxrss / (1024.0 if sys.platform == "linux" else 1024.0**2), 1),
+        "peak_memory_mb": round(used.ru_maxrss / (1024.0**2 if sys.platform == "darwin" else 1024.0), 1),
     }
 
 
-def _wait(child: int, task: Task, begun: float) -> str:
+def _wait(alive: int, task: Task, begun: float) -> str:
     """Empty when the child has ended by itself, otherwise why it has to be ended: ``time_limit`` or ``unwanted``."""
-    handle = os.pidfd_open(child)
-    try:
-        with selectors.DefaultSelector() as watched:
-            watched.register(handle, selectors.EVENT_READ)
-            watched.register(0, selectors.EVENT_READ)
-            while True:
-                left = None if task.time_limit is None else task.time_limit - (time.monotonic() - begun)
-                if left is not None and left <= 0.0:
-                    return "time_limit"
-                pause = left if task.alive is None else min(POLL_S, left or POLL_S)
-                ready = [key.fd for key, _ in watched.select(pause)]
-                if handle in ready:
-                    return ""
-                # Tasks come one at a time: what can be read while one is done is the end.
-                if 0 in ready or (task.alive is not None and not os.path.exists(task.alive)):
-                    return "unwanted"
-    finally:
-        os.close(handle)
+    with selectors.DefaultSelector() as watched:
+        watched.register(alive, selectors.EVENT_READ)
+        watched.register(0, selectors.EVENT_READ)
+        while True:
+            left = None if task.time_limit is None else task.time_limit - (time.monotonic() - begun)
+            if left is not None and left <= 0.0:
+                return "time_limit"
+            ready = [key.fd for key, _ in watched.select(left if task.alive is None else min(POLL_S, left or POLL_S))]
+            if alive in ready:
+                return ""
+            # Tasks come one at a time: what can be read while one is done is the end.
+            if 0 in ready or (task.alive is not None and not os.path.exists(task.alive)):
+                return "unwanted"
 
 
-def _end(child: int) -> None:
+def _end(child: int, alive: int) -> None:
     """Ask the child and what it started to end, and insist."""
-    for number in (signal.SIGTERM, signal.SIGKILL):
-        try:
-            os.killpg(child, number)
-        except ProcessLookupError:
-            return
-        deadline = time.monotonic() + GRACE_S
-        while time.monotonic() < deadline:
-            if os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
-                break
-            time.sleep(0.02)
-
-
-def _clean(target: Path) -> None:
-    """Remove what a killed run left under its hidden names."""
-    for pattern in (f".{target.name}.partial-*", f".{target.name}.replaced-*"):
-        for rest in target.parent.glob(pattern):
-            shutil.rmtree(rest, ignore_errors=True)
+    with selectors.DefaultSelector() as watched:
+        watched.register(alive, selectors.EVENT_READ)
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            with suppress(ProcessLookupError):  # it has ended by itself by now
+                os.killpg(child, number)
+            if watched.select(GRACE_S):
+                return
 
 
 def _be_the_child(task: Task, send: Send) -> NoReturn:
