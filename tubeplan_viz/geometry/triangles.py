@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -100,7 +101,7 @@ class Triangles:
             found = tree.query_ball_point(points, reach + radius, return_sorted=False)
             counts = np.fromiter((len(f) for f in found), dtype=np.int64, count=len(found))
             row = np.repeat(np.arange(len(points)), counts)
-            face = group[np.fromiter((f for some in found for f in some), dtype=np.int64, count=int(counts.sum()))]
+            face = group[np.fromiter(chain.from_iterable(found), dtype=np.int64, count=int(counts.sum()))]
             gap = np.linalg.norm(points[row] - self._centers[face], axis=1)
             keep = gap - self._radii[face] <= reach[row]
             rows.append(row[keep])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray, IntArray
 from segmentation.mesh import Surface
@@ -35,10 +34,7 @@ class SliceClearance:
     def __init__(self, surface: Surface, wall: WallDistance, *, limit: float, pairs: int = 2) -> None:
         self.wall, self.limit, self.pairs = wall, limit, pairs
         faces = surface.faces if wall.closed_ends else surface.wall_faces
-        self._corners = surface.vertices[faces]  # (m, 3, 3)
-        centers = self._corners.mean(axis=1)
-        self._reach = float(np.linalg.norm(self._corners - centers[:, None], axis=2).max())
-        self._tree = cKDTree(centers)
+        self._corners = surface.vertices[faces]  # (m, 3, 3), in the order of the wall's triangles
         self._points: FloatArray | None = None
         self._distance: FloatArray = np.empty(0)
 
@@ -90,11 +86,10 @@ class SliceClearance:
 
     def _contours(self, points: FloatArray, chords: list[FloatArray], radii: FloatArray) -> FloatArray:
         """Distances (planes, points) to the wall's contours, from the faces that come nearer than `radii`."""
-        faces = self._tree.query_ball_point(points, radii + self._reach)
-        owner = np.repeat(np.arange(len(points)), [len(f) for f in faces])
+        owner, faces = self.wall.triangles.within(points, radii)
         if not len(owner):
             return np.full((len(chords), len(points)), np.inf)
-        corners = self._corners[np.concatenate(faces).astype(np.int64)] - points[owner, None]  # (k, 3, 3)
+        corners = self._corners[faces] - points[owner, None]  # (k, 3, 3)
         return np.array([contour_distances(corners, chord, owner) for chord in chords])
 
 
@@ -108,7 +103,7 @@ def contour_distances(corners: FloatArray, normals: FloatArray, owner: IntArray)
     normals : (m, 3) float array
         Of the planes, any length.
     owner : (k,) int array
-        Plane that each triangle belongs to, in increasing order.
+        Plane that each triangle belongs to.
 
     Returns
     -------
