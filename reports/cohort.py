@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from reports.cohort_charts import cohort_charts
+from reports.cohort_charts import KINDS, cohort_charts
 from reports.folds import Fact, Fold
 from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
 from reports.parts import Drawing
@@ -85,6 +85,7 @@ class CohortPage:
     planners: tuple[str, ...]
     columns: tuple[Column, ...]
     rows: tuple[CaseRow, ...]
+    legend: tuple[tuple[str, str], ...]
     tall: bool
     reasons: tuple[Reason, ...]
     folds: tuple[Fold, ...]
@@ -115,11 +116,18 @@ def make_cohort_page(document: Mapping[str, Any]) -> CohortPage:
         planners=tuple(dict.fromkeys(str(case["planner"]) for case in cases)),
         columns=_columns(document),
         rows=tuple(_row(source, k) for k in range(total)),
+        legend=_legend(present),
         tall=total > ROWS_AT_ONCE,
         reasons=tuple(_reason(source, k) for k in range(len(document["reasons"]))),
         folds=(_provenance(document),),
         document=document,
     )
+
+
+def _legend(present: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Class and word of each colour that the charts can have."""
+    runs = [(KINDS[status][0], KINDS[status][1]) for status in present if status in KINDS]
+    return (*runs, *([("other", "no verdict")] if any(status not in KINDS for status in present) else []))
 
 
 def _warnings(document: Mapping[str, Any]) -> tuple[str, ...]:
@@ -146,7 +154,10 @@ def _row(source: Source, k: int) -> CaseRow:
     margin = source.figure(f"{key}.margin_mm", 2, "mm", signed=True)
     memory = source.figure(f"{key}.peak_memory_mb", 0, "MB")
     cells = [
-        Cell(phrase(margin) if margin else phrase("–"), "num" + (" bad-clearance" if margin and margin.value < 0.0 else "")),
+        Cell(
+            phrase(margin) if margin else phrase("–"),
+            "num" + (" bad-clearance" if margin and margin.value < 0.0 and icon != "yes" else ""),
+        ),
         Cell(_limited(source, f"{key}.metrics.clearance_min_mm", f"{key}.limits.clearance_min_mm", 2, "mm"), "num wide"),
         Cell(
             _limited(source, f"{key}.metrics.curvature_max_per_mm", f"{key}.limits.curvature_max_per_mm", 4, "1/mm"), "num wide"

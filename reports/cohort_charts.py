@@ -18,8 +18,8 @@ BINS = 18
 # Narrowest bin: margins are planned to about a hundredth of a mm, times vary by more than a tenth of a second.
 FINEST = {"mm": 0.02, "s": 0.1}
 FEWEST = 6
-# Status of a run -> class of its bars and word, from below.
-KINDS = {"ok": ("ok", "hold"), "flagged": ("flagged", "flagged"), "infeasible": ("infeasible", "without a path that holds")}
+# Status of a run -> class of its bars and word of the legend, from below.
+KINDS = {"ok": ("ok", "holds"), "flagged": ("flagged", "flagged"), "infeasible": ("infeasible", "no path")}
 
 
 def cohort_charts(cases: Sequence[Mapping[str, Any]]) -> tuple[Drawing, ...]:
@@ -61,7 +61,7 @@ def histogram(values: Sequence[tuple[float, str]], words: str, unit: str, width:
         counts = bins.setdefault(math.floor(value / step + 1e-9), {})
         counts[status if status in KINDS else "other"] = counts.get(status if status in KINDS else "other", 0) + 1
     tallest = max(sum(counts.values()) for counts in bins.values())
-    rung = max(1.0, nice_step(float(tallest), 4))
+    rung = math.ceil(nice_step(float(max(tallest, 4)), 4))  # cases are counted in whole numbers
     x = Axis(first * step, last * step, LEFT, width.half - RIGHT)
     y = Axis(0.0, math.ceil(tallest / rung) * rung, TALL - 22.0, 18.0)
     parts = grid((LEFT, width.half - RIGHT), y, rung)
