@@ -83,7 +83,8 @@ def check_files(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
             name=name, ok=False, found=type(fault).__name__, expected="two whole files", text="A file of the run cannot be read."
         )
         return
-    same = rows[:1] == [CSV_HEADER] and [[row[c] for c in (0, 1, 2, 3, 7, 9)] for row in rows[1:]] == stated
+    whole = rows[:1] == [CSV_HEADER] and all(len(row) == len(CSV_HEADER) for row in rows)
+    same = whole and [[row[c] for c in (0, 1, 2, 3, 7, 9)] for row in rows[1:]] == stated
     yield Check(
         name="path.csv: same numbers",
         ok=same,
