@@ -141,7 +141,8 @@ def _head(columns: list[str], where: str) -> list[str]:
     if doubled:
         raise ManifestError(f"{where}: the column {doubled[0] or 'without a name'} stands twice; expected each once")
     if "id" not in columns:
-        raise ManifestError(f"{where}: there is no column id; found {', '.join(columns)}; expected one that names each case")
+        commas = "; put commas between cells" if len(columns) == 1 and set(columns[0]) & set(";\t") else ""
+        raise ManifestError(f"{where}: there is no column id, which names each case; found {', '.join(columns)}{commas}")
     unknown = unknown_columns(columns)
     if unknown:
         raise ManifestError(
