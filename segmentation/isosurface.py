@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from skimage.measure import marching_cubes
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
@@ -80,38 +81,56 @@ def isosurface(volume: Volume, region: Region) -> Isosurface:
     )
 
 
-def lumen_field(volume: Volume, region: Region) -> tuple[FloatArray, int]:
-    """HU to the nearer limit over the region's box, positive exactly inside, and the number of void voxels filled."""
+def lumen_field(volume: Volume, region: Region) -> tuple[NDArray[np.float32], int]:
+    """HU to the nearer limit over the region's box, positive exactly inside, and the number of void voxels filled.
+
+    Away from the wall, where no triangle comes from it, the field is 1 or -1.
+    """
+    inside = region.filled
+    band = _beside_wall(inside)
     upper = tuple(lo + n for lo, n in zip(region.lower, region.mask.shape, strict=True))
-    hu = smoothed_box(volume, region.lower, upper, smoothing=region.smoothing)
+    hu = smoothed_box(volume, region.lower, upper, smoothing=region.smoothing, among=band)
     # Growing compares in eighths of a HU; half a step puts the limit between two of them.
     half = 0.5 / STEPS_PER_HU
-    field: FloatArray | None = None
+    gaps = []
     if region.hu_max < HU_HIGHEST:
-        field = region.hu_max + half - hu
-    if region.wall_limits is not None or region.hu_min > HU_LOWEST:
-        if region.wall_limits is not None:
-            hu -= region.wall_limits
-        else:
-            hu -= region.hu_min
-            hu += half
-        field = hu if field is None else np.minimum(field, hu, out=field)
-    field = np.ones(region.mask.shape) if field is None else np.abs(field, out=field)
-    inside = region.filled
-    clear = CLEAR * 2.0 * float(np.median(field[_skin(inside)]))
-    np.maximum(field, max(clear, 1e-6), out=field)
-    np.negative(field, out=field, where=~inside)
+        gaps.append(region.hu_max + half - hu)
+    if region.wall_limits is not None:
+        gaps.append(hu - region.wall_limits[band])
+    elif region.hu_min > HU_LOWEST:
+        gaps.append(hu - region.hu_min + half)
+    gap = np.abs(np.min(gaps, axis=0)) if gaps else np.ones(len(hu))
+    skin = inside & ~_each_with_faces(inside, np.logical_and)
+    clear = CLEAR * 2.0 * float(np.median(gap[skin[band]]))
+    gap = np.maximum(gap, max(clear, 1e-6))
+    field = np.where(inside, np.float32(1.0), np.float32(-1.0))
+    field[band] = np.where(inside[band], gap, -gap)
     return field, int(np.count_nonzero(inside) - np.count_nonzero(region.mask))
 
 
-def _skin(inside: BoolArray) -> BoolArray:
-    """Inside voxels with an outside neighbour in the array."""
-    deep = inside.copy()
+def _beside_wall(inside: BoolArray) -> BoolArray:
+    """Corners of the cubes that the wall passes through: voxels with one on its other side among their 26 neighbours."""
+    some, all_ = inside, inside
     for axis in range(3):
-        one, other = (np.moveaxis(part, axis, 0) for part in (deep, inside))
-        one[1:] &= other[:-1]
-        one[:-1] &= other[1:]
-    return inside & ~deep
+        some, all_ = (_each_with_neighbours(part, axis, op) for part, op in ((some, np.logical_or), (all_, np.logical_and)))
+    return some & ~all_
+
+
+def _each_with_faces(mask: BoolArray, op: np.ufunc) -> BoolArray:
+    """Each voxel and its six face neighbours in the array, joined by a logical function."""
+    found = mask
+    for axis in range(3):
+        found = op(found, _each_with_neighbours(mask, axis, op))
+    return found
+
+
+def _each_with_neighbours(mask: BoolArray, axis: int, op: np.ufunc) -> BoolArray:
+    """Each voxel and its two neighbours along one axis in the array, joined by a logical function."""
+    found = mask.copy()
+    one, other = (np.moveaxis(part, axis, 0) for part in (found, mask))
+    op(one[1:], other[:-1], out=one[1:])
+    op(one[:-1], other[1:], out=one[:-1])
+    return found
 
 
 def outward(vertices: FloatArray, faces: IntArray) -> IntArray:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import SimpleITK as sitk
 
 from segmentation.arrays import BoolArray
 from segmentation.region_growing import Region
 from segmentation.volume import Volume
+
+# SimpleITK is imported where it is used: it takes 90 MB, and most commands write no mask.
+if TYPE_CHECKING:
+    import SimpleITK as sitk
 
 LUMEN_COLOR = (0.55, 0.46, 0.40)
 
@@ -26,6 +30,8 @@ def write_mask(region: Region, volume: Volume, path: Path) -> None:
 
     Opens over the CT in 3D Slicer and other viewers as it is.
     """
+    import SimpleITK as sitk
+
     sitk.WriteImage(_image(whole_mask(region, volume), volume), str(path), useCompression=True)
 
 
@@ -46,6 +52,8 @@ def write_slicer_segmentation(mask: BoolArray, volume: Volume, path: Path, *, na
     ----------
     .. [1] https://slicer.readthedocs.io/en/latest/user_guide/modules/segmentations.html#segmentation-file-nrrd-file-format
     """
+    import SimpleITK as sitk
+
     image = _image(mask, volume)
     slices, rows, columns = mask.shape
     about = {
@@ -69,6 +77,8 @@ def write_slicer_segmentation(mask: BoolArray, volume: Volume, path: Path, *, na
 
 
 def _image(mask: BoolArray, volume: Volume) -> sitk.Image:
+    import SimpleITK as sitk
+
     image = sitk.GetImageFromArray(mask.astype(np.uint8))
     # SimpleITK counts axes x first, which is column, row, slice here.
     spacing = volume.spacing[::-1]

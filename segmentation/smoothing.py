@@ -109,16 +109,23 @@ def _with_reach(box: tuple[slice, ...], shape: tuple[int, ...], reach: tuple[int
     return tuple(slice(max(b.start - r, 0), min(b.stop + r, n)) for b, r, n in zip(box, reach, shape, strict=True))
 
 
-def smoothed_box(volume: Volume, lower: tuple[int, ...], upper: tuple[int, ...], *, smoothing: float) -> FloatArray:
-    """HU of the box ``lower <= index < upper``, clipped and smoothed as for growing, but in float64."""
+def smoothed_box(
+    volume: Volume, lower: tuple[int, ...], upper: tuple[int, ...], *, smoothing: float, among: BoolArray | None = None
+) -> FloatArray:
+    """HU of the box ``lower <= index < upper``, clipped and smoothed as for growing, but in float64.
+
+    With `among`, a mask of the box, only of its voxels, (n,).
+    """
     shape = volume.voxels.shape
     sigmas = smoothing_sigmas(volume, smoothing)
     outer = _with_reach(tuple(map(slice, lower, upper)), shape, smoothing_reach(sigmas))
+    inner = tuple(slice(lo - o.start, up - o.start) for lo, up, o in zip(lower, upper, outer, strict=True))
+    if smoothing == 0 and among is not None:
+        return np.clip(volume.voxels[outer][among], HU_LOWEST, HU_HIGHEST).astype(np.float64)
     values = np.clip(volume.voxels[outer], HU_LOWEST, HU_HIGHEST).astype(np.float64)
     if smoothing > 0:
-        values = ndimage.gaussian_filter(values, sigmas, mode="nearest", truncate=TRUNCATE)
-    inner = tuple(slice(lo - o.start, up - o.start) for lo, up, o in zip(lower, upper, outer, strict=True))
-    return np.asarray(values[inner], dtype=np.float64)
+        ndimage.gaussian_filter(values, sigmas, output=values, mode="nearest", truncate=TRUNCATE)
+    return np.asarray(values[inner] if among is None else values[inner][among], dtype=np.float64)
 
 
 def block_mean(voxels: VoxelArray, factor: tuple[int, int, int]) -> NDArray[np.float32]:

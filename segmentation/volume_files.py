@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
-import SimpleITK as sitk
 
 from segmentation.arrays import FloatArray, VoxelArray
 from segmentation.errors import VolumeError
@@ -24,8 +23,8 @@ from segmentation.errors import VolumeError
 VOLUME_SUFFIXES = (".nii", ".nii.gz", ".mha", ".mhd")
 _MIN_SPACING, _MAX_SPACING = 0.05, 5.0
 _MAX_VOXELS = 1 << 30
-_PIXEL_TYPES = (sitk.sitkInt16, sitk.sitkUInt16, sitk.sitkInt32, sitk.sitkUInt32, sitk.sitkFloat32, sitk.sitkFloat64)
-_LABEL_TYPES = (sitk.sitkInt8, sitk.sitkUInt8)
+_PIXEL_TYPES = ("Int16", "UInt16", "Int32", "UInt32", "Float32", "Float64")
+_LABEL_TYPES = ("Int8", "UInt8")
 _FLOAT_CODES = {16: "f4", 64: "f8"}
 """NIfTI datatype codes of floating-point voxels."""
 _CHUNK = 1 << 22
@@ -74,6 +73,9 @@ def read_volume_file(path: Path, *, labels: bool = False) -> VolumeFile:
         raise VolumeError(f"{path.name}: there is no such file; check the path")
     is_nifti = path.name.lower().endswith((".nii", ".nii.gz"))
     files = [path] if is_nifti else [path, *_data_files(path)]
+    # Imported where it is used: it takes 90 MB, which reading DICOM does without.
+    import SimpleITK as sitk
+
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     reader.SetImageIO("NiftiImageIO" if is_nifti else "MetaImageIO")
@@ -176,7 +178,10 @@ def _check_header(reader: Any, name: str, *, labels: bool) -> None:
         raise VolumeError(f"{name}: has {reader.GetDimension()} dimensions, expected 3; save one volume of it")
     if reader.GetNumberOfComponents() != 1:
         raise VolumeError(f"{name}: has {reader.GetNumberOfComponents()} values per voxel, expected 1; this is no CT")
-    if reader.GetPixelID() not in (_PIXEL_TYPES + _LABEL_TYPES if labels else _PIXEL_TYPES):
+    import SimpleITK as sitk
+
+    known = _PIXEL_TYPES + _LABEL_TYPES if labels else _PIXEL_TYPES
+    if reader.GetPixelID() not in [getattr(sitk, f"sitk{kind}") for kind in known]:
         kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
         raise VolumeError(f"{name}: has voxels of {kind}, which cannot hold HU; save the CT with 16 bits or more")
     if math.prod(size) > _MAX_VOXELS:
@@ -210,6 +215,8 @@ def _affine(reader: Any, name: str) -> FloatArray:
 
 def _to_int16(image: Any, name: str) -> tuple[VoxelArray, int]:
     """Voxels as int16, slice by slice, so that no second full copy is made; how many were clipped."""
+    import SimpleITK as sitk
+
     source = sitk.GetArrayViewFromImage(image)
     voxels = np.empty(source.shape, dtype=np.int16)
     clipped = 0
