@@ -8,12 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubeplan_viz.bench.centerline import Timed, between_ends, method_rows, off_axis, timed_rows, trials
+from tubeplan_viz.bench.centerline import (
+    Timed,
+    Trial,
+    between_ends,
+    method_rows,
+    off_axis,
+    open_row,
+    radius_rows,
+    timed_rows,
+    trials,
+)
 from tubeplan_viz.bench.centerline_methods import voxelized
 from tubeplan_viz.bench.models import bent_cylinder_1
 from tubeplan_viz.bench.peers import VMTK_RUNS_ON
 from tubeplan_viz.bench.trees import renal_tree
 from tubeplan_viz.geometry import WallDistance
+
+
+@pytest.fixture(scope="module")
+def quick() -> list[Trial]:
+    """Cylinder 1 and the renal tree."""
+    return trials(quick=True)
 
 
 def test_voxels_are_those_whose_middle_lies_inside() -> None:
@@ -54,8 +70,9 @@ def test_ends_do_not_count_towards_the_error() -> None:
     assert off_axis(model.axis_points[60:-60] + np.array([0.0, 0.0, 0.1]), model)[0] == pytest.approx(0.1, abs=1e-3)
 
 
-def test_ours_holds_its_targets_on_cylinder_1_in_a_process_of_its_own() -> None:
-    rows = {row.figure: row for row in method_rows(trials(quick=True)[0], "tubeplan")}
+@pytest.mark.parametrize("number", [0, 1], ids=["cylinder 1", "renal tree"])
+def test_ours_holds_its_targets_in_a_process_of_its_own(number: int, quick: list[Trial]) -> None:
+    rows = {row.figure: row for row in method_rows(quick[number], "tubeplan")}
     assert rows["points inside %"].holds
     assert rows["interior error mm, mean"].holds
     assert rows["interior error mm, largest"].holds
@@ -63,11 +80,16 @@ def test_ours_holds_its_targets_on_cylinder_1_in_a_process_of_its_own() -> None:
     assert rows["warm, mesh file to lines, CPU s"].ours > 0.0
 
 
-def test_a_peer_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_line_and_radius_hold_on_another_meshing_and_on_an_open_mesh() -> None:
+    rows = [*radius_rows("", bent_cylinder_1(meshing="structured")), open_row("", bent_cylinder_1(meshing="structured"))]
+    assert [row.figure for row in rows if not row.holds] == []
+
+
+def test_a_peer_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch, quick: list[Trial]) -> None:
     module = sys.modules[method_rows.__module__]
     monkeypatch.setattr(module, "find_spec", lambda name: None)
     monkeypatch.setattr(module, "vmtk_python", lambda: None)
-    trial = trials(quick=True)[0]
+    trial = quick[0]
     for method, said in (("kimimaro", "not installed: kimimaro"), ("VMTK", f"not installed: {VMTK_RUNS_ON}")):
         (row,) = method_rows(trial, method)
         assert row.figure.startswith("installed")
@@ -75,16 +97,16 @@ def test_a_peer_that_is_not_installed_is_named(monkeypatch: pytest.MonkeyPatch) 
         assert row.source == said
 
 
-def test_a_method_that_fails_says_why() -> None:
-    trial = trials(quick=True)[0]
+def test_a_method_that_fails_says_why(quick: list[Trial]) -> None:
+    trial = quick[0]
     outside = replace(trial, ends=trial.ends + 500.0)
     (row,) = method_rows(outside, "tubeplan")
     assert row.figure == "failed (exit status)"
     assert "lies in no inscribed sphere" in row.source
 
 
-def test_a_line_that_breaks_off_near_an_end_is_shown_without_an_error_of_its_own() -> None:
-    trial = trials(quick=True)[0]
+def test_a_line_that_breaks_off_near_an_end_is_shown_without_an_error_of_its_own(quick: list[Trial]) -> None:
+    trial = quick[0]
     broken = Timed(points=trial.ends[:1] + np.array([[0.0, 1.0, 0.0]]), cold=1.0, warm=1.0, whole=2.0, peak=100.0)
     rows = {row.figure: row for row in timed_rows("peer", trial, broken, aimed=False)}
     assert rows["points away from ends and junctions"].ours == 0

@@ -18,6 +18,7 @@ def test_rows_of_numpy_numbers_are_printed_as_json(capsys: pytest.CaptureFixture
     monkeypatch.setitem(BENCHMARKS, "paper", lambda **_: [row])
     assert status_of(["bench", "paper", "--json"]) == 0
     [printed] = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"case", "figure", "ours", "reference", "source", "ratio", "target", "holds"}
     assert printed["ours"] == 3
     assert printed["ratio"] == 1.5
     assert printed["holds"] is True

@@ -337,13 +337,6 @@ def test_the_demo_goes_from_ct_to_report(process: Call, tmp_path: Path) -> None:
     assert verification.holds, [check.text for check in verification.faults]
 
 
-def test_the_centerline_benchmark_holds(tubeplan: Call) -> None:
-    done = tubeplan("bench", "centerline", "--quick", "--json")
-    assert done.status == 0
-    assert all(row["holds"] is not False for row in done.document)
-    assert {"case", "figure", "ours", "reference", "source", "ratio", "target", "holds"} == set(done.document[0])
-
-
 def test_a_fault_of_the_program_ends_with_1_and_says_so(
     tubeplan: Call, meshes: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,8 @@ def test_the_address_is_printed_and_ctrl_c_ends_the_view_without_a_trace(
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "TMPDIR": str(private)},
+        # Where the tests themselves run in the background, Ctrl-C is ignored and children inherit that.
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
     assert child.stdout is not None
     try:
