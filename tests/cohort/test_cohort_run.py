@@ -227,11 +227,11 @@ def test_a_killed_case_and_one_that_takes_too_long_cost_a_row_each(make_cohort: 
     place = make_cohort(tmp_path / "c")
     rows = ENDLESS.format(id="killed") + ENDLESS.format(id="endless") + QUICK.format(id="quick")
     (place / "m.toml").write_text(rows, encoding="utf-8")
-    settings = CohortSettings(jobs=1, recording=False, time_limit=1.5)
+    settings = CohortSettings(jobs=1, recording=False, time_limit=3.0)
 
     def kill() -> None:
         until(lambda: list((place / "out").glob(".killed.partial-*")))
-        (worker,) = (child for child in children(os.getpid()) if children(child))
+        (worker,) = (child for child in children(os.getpid()) if b"cohort.worker" in Path(f"/proc/{child}/cmdline").read_bytes())
         os.kill(children(worker)[0], signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
@@ -244,7 +244,7 @@ def test_a_killed_case_and_one_that_takes_too_long_cost_a_row_each(make_cohort: 
     assert reasons["killed"][1].startswith("its process ended: signal SIGKILL, as the system does where memory runs out")
     assert reasons["endless"] == (
         "time_limit",
-        "not done within the time limit of 1.5 s; give --time-limit more, then --retry-failed",
+        "not done within the time limit of 3 s; give --time-limit more, then --retry-failed",
     )
     assert document["exit_status"] == 1
     assert {entry.name for entry in (place / "out").iterdir()} == OWN | {"quick"}
