@@ -7,6 +7,7 @@ inflated no further than their own header asks for.
 
 from __future__ import annotations
 
+import hashlib
 import io
 import logging
 import os
@@ -53,6 +54,10 @@ UNREADABLE = (
 
 _SUFFIXES = frozenset({".dcm", ".dicom", ".ima", ".dic", ".dc3"})
 _APPLE_DOUBLE = b"\x00\x05\x16\x07"
+
+
+# Bytes before the pixel data (all of a deflated file) and their SHA-256.
+Head = tuple[int, str]
 
 
 @dataclass(frozen=True)
@@ -249,6 +254,26 @@ def read_header(file: DicomFile) -> Dataset:
     """
     with _open(file.path) as stream:
         return parse(stream, pixels=False)
+
+
+def read_head(file: DicomFile) -> tuple[Dataset, Head]:
+    """The header of one file as `read_header` has it, and the mark by which it is known again.
+
+    Raises
+    ------
+    SeriesError
+        If it cannot be read.
+    """
+    with _open(file.path) as stream:
+        dataset = parse(stream, pixels=False)
+        size = stream.tell()
+        stream.seek(0)
+        return dataset, head_of(stream.read(size), size)
+
+
+def head_of(data: bytes, size: int) -> Head:
+    """Mark of the first `size` bytes of a file."""
+    return size, hashlib.sha256(data[:size]).hexdigest()
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from pydicom.dataset import Dataset
 
-from segmentation.dicom.files import UNREADABLE, DicomFile
+from segmentation.dicom.files import UNREADABLE, DicomFile, Head
 from segmentation.errors import SeriesError
 
 CT_CLASSES = {
@@ -45,6 +45,8 @@ class SliceHeader:
         Lowest and highest stored value that means "no image here".
     patient, study, series, instance : str
         Compared, never printed.
+    head : (int, str) or None
+        Mark of the file's header, see `files.read_head`: equal bytes need not be understood again.
     """
 
     file: DicomFile = field(repr=False)
@@ -88,6 +90,7 @@ class SliceHeader:
     padding: tuple[int, int] | None
     tilt: float | None
     lossy: bool
+    head: Head | None = field(default=None, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -133,8 +136,8 @@ class SliceHeader:
         return "LOCALIZER" in self.image_type
 
 
-def slice_headers(dataset: Dataset, file: DicomFile) -> tuple[SliceHeader, ...]:
-    """The slices in one parsed file: one, or one per frame; none for a directory record.
+def slice_headers(dataset: Dataset, file: DicomFile, *, head: Head | None = None) -> tuple[SliceHeader, ...]:
+    """The slices in one parsed file, with its mark: one, or one per frame; none for a directory record.
 
     Raises
     ------
@@ -142,7 +145,7 @@ def slice_headers(dataset: Dataset, file: DicomFile) -> tuple[SliceHeader, ...]:
         If the header's own structure is broken.
     """
     try:
-        return tuple(_headers(dataset, file))
+        return tuple(replace(header, head=head) for header in _headers(dataset, file))
     except UNREADABLE as error:
         raise SeriesError(f"{file.name} has a damaged header ({type(error).__name__}); export it again") from error
 

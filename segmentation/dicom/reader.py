@@ -21,7 +21,7 @@ import numpy as np
 from segmentation.arrays import VoxelArray
 from segmentation.dicom.decode import decode_slice, require_decoder
 from segmentation.dicom.facts import geometry_facts, padding_facts, series_facts
-from segmentation.dicom.files import DicomFile, parse, quiet_parser, read_bytes
+from segmentation.dicom.files import DicomFile, head_of, parse, quiet_parser, read_bytes
 from segmentation.dicom.gate import header_faults, header_warnings, order_faults
 from segmentation.dicom.geometry import Stack, build_stack
 from segmentation.dicom.headers import SliceHeader, slice_headers
@@ -226,10 +226,12 @@ def _read_file(file: DicomFile, wanted: dict[int, SliceHeader], voxels: VoxelArr
         dataset = parse(io.BytesIO(data), pixels=True)
     except SeriesError as error:
         raise SeriesError(f"{file.name} {error}") from error
-    now = {header.frame: header for header in slice_headers(dataset, file)}
+    marks = {slice_.head for slice_ in wanted.values()}
+    same = all(head is not None and head_of(data, head[0]) == head for head in marks)
+    now = {} if same else {header.frame: header for header in slice_headers(dataset, file)}
     conversions = {}
     for k, slice_ in wanted.items():
-        if now.get(slice_.frame) != slice_:
+        if not same and now.get(slice_.frame) != slice_:
             raise SeriesError(f"{slice_.name} changed while the folder was read; wait until the export is complete")
         try:
             stored = decode_slice(dataset, slice_)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from segmentation.dicom.files import DicomFile, list_folder, quiet_parser, read_header
+from segmentation.dicom.files import DicomFile, list_folder, quiet_parser, read_head
 from segmentation.dicom.headers import SliceHeader, slice_headers
 from segmentation.errors import SeriesError
 
@@ -169,10 +169,10 @@ def printable(text: str, limit: int = 40) -> str:
 
 def _headers_of(file: DicomFile) -> tuple[SliceHeader, ...]:
     try:
-        dataset = read_header(file)
+        dataset, head = read_head(file)
     except SeriesError as error:
         raise SeriesError(f"{file.name} {error}") from error
-    return slice_headers(dataset, file)
+    return slice_headers(dataset, file, head=head)
 
 
 def _matching(series: Sequence[SeriesInfo], name: str) -> list[SeriesInfo]:
