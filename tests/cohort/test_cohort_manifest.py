@@ -152,6 +152,12 @@ ROW = '[[cases]]\nid = "a"\ninput.mesh = "meshes/neck.ply"\n'
         ("m.toml", ROW + "planner = 3\n", r"line 1 \(a\): planner is 3, expected a table"),
         ("m.toml", ROW + 'planner.name = "drill"\n', r"line 1 \(a\): there is no planner 'drill', expected one of tube"),
         ("m.toml", ROW + "limits.clearance = 1\n", r"line 1 \(a\): case \[limits\]: unknown key 'clearance'"),
+        ("m.toml", ROW + 'planner.method = "magic"\n', r"line 1 \(a\): the tube planner has no method 'magic'; expected optimal"),
+        (
+            "m.toml",
+            '[[cases]]\nid = "a"\nplanner.name = "rigid"\ninput.ct = "meshes"\nrigid = { side = "left", endoscope = "none" }\n',
+            r"line 1 \(a\): .*'none'",
+        ),
         ("m.csv", "", r"m\.csv: it has no case"),
         ("m.csv", "id\n", r"m\.csv: it has no case"),
         ("m.csv", "name,mesh\n", r"m\.csv, line 1: there is no column id, which names each case; found name, mesh$"),

@@ -15,6 +15,7 @@ from typing import Any
 
 from segmentation.errors import CaseError, TubeplanError
 from tubeplan_viz.cases.fields import read_table
+from tubeplan_viz.cases.tube import Case as TubeCase
 from tubeplan_viz.cohort.columns import takes_seed
 from tubeplan_viz.cohort.errors import ManifestError
 from tubeplan_viz.cohort.inputs import input_paths
@@ -140,7 +141,16 @@ def _case(row: Row, defaults: Mapping[str, Any], folder: Path, rng_seed: int | N
     tables["planner"] = {**tables.get("planner", {}), "name": which}
     if rng_seed is not None and takes_seed(which) and "rng_seed" not in given.get("planner", {}):
         tables["planner"]["rng_seed"] = case_seed(rng_seed, row.id)
-    return CohortCase(id=row.id, planner=which, case=make_case(tables, name="case"))
+    made = CohortCase(id=row.id, planner=which, case=make_case(tables, name="case"))
+    _settle(made)
+    return made
+
+
+def _settle(case: CohortCase) -> None:
+    """Ask for what a case otherwise works out when its run begins: names in a catalogue, the planner's method."""
+    case.text(Path(case.id))
+    if isinstance(case.case, TubeCase):
+        _ = case.case.tube_settings
 
 
 def _file_tables(value: Any, folder: Path) -> dict[str, Any]:

@@ -28,6 +28,7 @@ COMMANDS = (
     ("segment",),
     ("endpoints",),
     ("verify",),
+    ("batch",),
     ("bench",),
 )
 
