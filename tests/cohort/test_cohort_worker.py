@@ -133,6 +133,19 @@ def test_as_many_cases_run_at_a_time_as_are_asked_for_and_memory_allows(
     assert together() == most
 
 
+def test_free_memory_is_that_of_the_control_group_where_it_has_less(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(here, "CGROUP", tmp_path)
+    machine = here.free_memory_mb()
+    if machine is None:
+        pytest.skip("this system does not tell its free memory in /proc/meminfo")
+    (tmp_path / "memory.current").write_text("9000000\n")
+    (tmp_path / "memory.stat").write_text("file 4000000\ninactive_file 3000000\n")
+    (tmp_path / "memory.max").write_text("max\n")
+    assert here.free_memory_mb() == pytest.approx(machine, rel=0.5)  # no limit; the machine's own changes all the time
+    (tmp_path / "memory.max").write_text("10000000\n")
+    assert here.free_memory_mb() == 4.0  # 10 - 9 + 3: files that nobody uses are given back
+
+
 def test_progress_is_a_line_for_each_case_and_the_end_a_table(
     cohort_files: Path, together: Callable[[], int], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,8 +43,6 @@ def run_there(tasks: Iterator[Task], address: str, folder: Path) -> Generator[An
         If Dask is not installed here, or no scheduler answers.
     """
     distributed = _distributed()
-    for left in folder.glob(f"{ALIVE}*"):  # of a command that was killed: its cases end now
-        left.unlink(missing_ok=True)
     try:
         client = distributed.Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as fault:
@@ -68,6 +66,12 @@ def run_there(tasks: Iterator[Task], address: str, folder: Path) -> Generator[An
         Path(alive).unlink(missing_ok=True)
         client.cancel(list(ids))
         client.close()
+
+
+def call_back(folder: Path) -> None:
+    """Let the workers know that what a killed command asked of them is not wanted any more."""
+    for left in folder.glob(f"{ALIVE}*"):
+        left.unlink(missing_ok=True)
 
 
 def do_alone(task: Task) -> Answer:

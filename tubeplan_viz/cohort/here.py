@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -25,19 +26,18 @@ def usable_processors() -> int:
 def free_memory_mb() -> float | None:
     """Memory that can be taken without swapping, in the machine and in this process's control group; None if not told."""
     found: list[float] = []
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        kib = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-        found.append(kib * 1024 / MEGABYTE)
-    except (OSError, StopIteration):
-        pass  # a system that does not tell
-    try:
-        limit, taken = ((CGROUP / name).read_text(encoding="ascii").strip() for name in ("memory.max", "memory.current"))
-        if limit != "max":
-            found.append((int(limit) - int(taken)) / MEGABYTE)
-    except OSError:
-        pass  # no control group of the second version
+    with suppress(OSError, LookupError):  # a system that does not tell
+        found.append(_figures(Path("/proc/meminfo"))["MemAvailable:"] * 1024 / MEGABYTE)
+    with suppress(OSError, LookupError, ValueError):  # no control group of the second version, or one without a limit
+        limit, taken = (int((CGROUP / name).read_text(encoding="ascii")) for name in ("memory.max", "memory.current"))
+        # Files that were read and not used since are given back when memory is asked for.
+        found.append((limit - taken + _figures(CGROUP / "memory.stat")["inactive_file"]) / MEGABYTE)
     return min(found, default=None)
+
+
+def _figures(file: Path) -> dict[str, int]:
+    """The first two words of each line, a name and a number."""
+    return {line.split()[0]: int(line.split()[1]) for line in file.read_text(encoding="ascii").splitlines()}
 
 
 def run_here(tasks: Iterator[Task], jobs: int, *, stage: Stage = no_stage) -> Generator[Answer]:

@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 from segmentation.errors import CaseError
 from tubeplan_viz import __version__
-from tubeplan_viz.cohort.cluster import run_there
+from tubeplan_viz.cohort.cluster import call_back, run_there
 from tubeplan_viz.cohort.errors import CohortInterrupted
 from tubeplan_viz.cohort.here import run_here, usable_processors
 from tubeplan_viz.cohort.inputs import Digests
@@ -116,6 +116,7 @@ def run_cohort(manifest: Manifest, folder: Path, settings: CohortSettings, *, wa
     with Journal(folder) as journal, interruptible():
         for name in SUMMARY_FILES:  # a summary that is there tells of the whole cohort
             (folder / name).unlink(missing_ok=True)
+        call_back(folder)
         here = Pass(manifest=manifest, folder=folder.resolve(), settings=settings, journal=journal, watch=watch)
         try:
             here.run()
