@@ -107,11 +107,22 @@ def growth(given: dict[str, Any]) -> GrowthSettings:
 
 
 def grower(flood: Callable[[VoxelArray, tuple[int, int, int], float, float], BoolArray]) -> Way:
-    """A peer's growing between two limits, to the mask of the whole volume."""
+    """A peer's growing between two limits, to the mask of the whole volume; smoothed by scipy first where ours smooths."""
 
     def way(folder: Path, given: dict[str, Any]) -> Callable[[], Result]:
         voxels = loaded(folder)
-        return lambda: {"mask": flood(voxels, tuple(given["seed"]), given["hu_min"], given["hu_max"])}
+        seed, low, high = tuple(given["seed"]), given["hu_min"], given["hu_max"]
+        if given["smoothing"] == 0:
+            return lambda: {"mask": flood(voxels, seed, low, high)}
+        sigmas = given["smoothing"] / np.linalg.norm(np.load(folder / "matrix.npy")[:3, :3], axis=0)
+
+        def run() -> Result:
+            # In eighths of a HU, as ours; the same Gaussian, over the whole volume.
+            smooth = np.clip(voxels, -1024, 3071) * np.int16(8)
+            import_module("scipy.ndimage").gaussian_filter(smooth, sigmas, output=smooth, mode="nearest", truncate=3.0)
+            return {"mask": flood(smooth, seed, np.floor(8.0 * low), np.floor(8.0 * high))}
+
+        return run
 
     return way
 
