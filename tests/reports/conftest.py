@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from scipy.spatial import cKDTree
 
 from segmentation.mesh import Cap, Surface
@@ -265,6 +266,37 @@ def build_review(
         last=path,
         film=make_film(surface, arc, points, clearance, settings=FilmSettings(size=48, step=6.0)) if film else None,
     )
+
+
+def serious(page: Any, rules: Sequence[str] = ()) -> list[str]:
+    """Serious and critical faults that axe-core finds, as ``rule: element``; of some rules or of all."""
+    only = {"runOnly": list(rules)} if rules else {}
+    found = Axe().run(page, options={"resultTypes": ["violations"], **only}).response["violations"]
+    return [
+        f"{fault['id']}: {node['target']} {node['failureSummary'][:160]}"
+        for fault in found
+        if fault["impact"] in ("serious", "critical")
+        for node in fault["nodes"][:3]
+    ]
+
+
+@pytest.fixture(scope="session")
+def hard_to_read() -> Callable[[Any], list[str]]:
+    """Serious faults of an open page in both themes and on a phone, where it is left.
+
+    Only colours change with the theme, with the width also what a finger meets and what scrolls: rules of those alone are asked.
+    """
+
+    def found(page: Any) -> list[str]:
+        faults = serious(page)
+        page.emulate_media(color_scheme="dark")
+        page.wait_for_timeout(100)
+        faults += serious(page, ["color-contrast"])
+        page.set_viewport_size({"width": 390, "height": 844})
+        page.wait_for_timeout(100)
+        return faults + serious(page, ["target-size", "scrollable-region-focusable", "color-contrast", "list"])
+
+    return found
 
 
 @pytest.fixture(scope="session")
