@@ -35,8 +35,16 @@ PROOF_SHARE = 0.003
 KEPT = 0.998
 # Share of the clearance that a control point may move in one round: under 1 / sqrt(3), so that no wall is passed.
 TRUST_MAX = 0.5
+TRUST_MIN = 0.01
+# Share of the clearance begun with that is not given away for a bend: along the wall a path finds no way to straighten. Where
+# the bend cannot be had so, all but the second share is.
+GIVEN, SCRAPING = 0.5, 0.02
 REFUSALS = 4
 SECOND_ROUNDS = 12
+# The excess of curvature stalls where so many rounds together take less than this share of it.
+STALL_ROUNDS, STALL_SHARE = 4, 0.1
+# An excess below this share of the limit is mended by asking for a little more than the limit.
+SLIGHT = 0.02
 ATTEMPTS = 3
 # As often are places that the samples missed added while the least clearance is raised.
 CLOSER_LOOKS = 6
@@ -63,15 +71,24 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
     """
     limits = passage.limits
     grid, control = warm_start(passage, warm) if warm is not None else first_spline(passage, settings)
-    aim = Aim(goal="least", curvature=limits.curvature_max * CURVATURE_AIM)
     state = grid.measure(control, limits.curvature_max)
+    aim = Aim(goal="least", curvature=limits.curvature_max * CURVATURE_AIM, floor=GIVEN * state.least)
     yield proposal(grid, state, "fit", (f"spline of {len(control)} control points fitted to the centerline",))
     fixed = (settings.start_direction is not None, settings.goal_direction is not None)
     ends = passage.wall.distance(passage.line[[0, -1]])
     ceiling = float(ends.min())
+    begun = state.least
     for reached in run_phase(passage, grid, state, aim, fixed, settings, ceiling=ceiling):
         yield reached[2]
     grid, state, first = reached
+    if first.curvature > limits.curvature_max and state.least < 1.05 * GIVEN * begun:
+        aim = replace(aim, floor=SCRAPING * begun)
+        for reached in run_phase(passage, grid, state, aim, fixed, settings, ceiling=ceiling):
+            yield reached[2]
+        if reached[2].curvature > limits.curvature_max:
+            yield replace(first, decisions=("nor does less clearance mend the bend: the path before stands",))
+            return
+        grid, state, first = reached
     assert first.clearance is not None
     if first.curvature > limits.curvature_max:
         return
@@ -141,17 +158,20 @@ def run_phase(
     """
     limit = passage.limits.curvature_max
     looks = CLOSER_LOOKS if first_phase(aim) else ATTEMPTS
+    # The first phase decides how much room there is; what follows it is worth a dozen rounds.
+    left = looks * settings.max_rounds if first_phase(aim) else min(settings.max_rounds, SECOND_ROUNDS)
     for look in range(looks):
-        for reached in rounds(grid, state, aim, limit, fixed, settings):
+        for reached in rounds(grid, state, aim, limit, fixed, settings, most=min(left, settings.max_rounds)):
             grid, state, aim, note = reached
+            left -= 1
             yield grid, state, proposal(grid, state, aim.goal, (note,))
             if state.least > CEILING_SHARE * ceiling and state.curvature <= limit:
                 break
         missed = missed_places(grid, state, aim)
-        sharp = state.curvature > limit
-        if look == looks - 1 or not (len(missed) or (sharp and look < ATTEMPTS - 1)):
+        sharp, slight = state.curvature > limit, state.curvature < (1.0 + SLIGHT) * limit
+        if look == looks - 1 or not left or (sharp and look >= (ATTEMPTS - 1 if slight else 1)) or not (sharp or len(missed)):
             break
-        if sharp and state.curvature < 1.02 * limit:
+        if sharp and slight:
             aim = replace(aim, curvature=aim.curvature * limit / state.curvature * CURVATURE_AIM)
         before = grid.clearance_u
         grid, state = grid.with_samples(missed, state)
@@ -187,15 +207,15 @@ def missed_places(grid: Grid, state: State, aim: Aim) -> FloatArray:
 
 
 def rounds(
-    grid: Grid, state: State, aim: Aim, limit: float, fixed: tuple[bool, bool], settings: OptimalSettings
+    grid: Grid, state: State, aim: Aim, limit: float, fixed: tuple[bool, bool], settings: OptimalSettings, *, most: int
 ) -> Iterator[tuple[Grid, State, Aim, str]]:
     """Accepted steps of one phase, each with the samples it is seen at, the aim there, and what it did in words."""
+    excess = [max(state.curvature / limit - 1.0, 0.0)]
     scale = max(float(np.median(state.rows.clearance)), 1e-3)
     penalty = 20.0 * scale
     enough = settings.tolerance * scale * (1.0 if first_phase(aim) else MEAN_COARSER)
     trust, idle, refused = 0.3, 0, 0
-    # The first phase decides how much room there is; what follows it is worth a dozen rounds.
-    for _ in range(settings.max_rounds if first_phase(aim) else min(settings.max_rounds, SECOND_ROUNDS)):
+    for _ in range(most):
         problem = StepProblem(
             state.control, grid.clearance_u, state.weight, grid.clearance_basis, grid.curvature_basis, state.rows, fixed
         )
@@ -219,6 +239,9 @@ def rounds(
                 grid, state = grid.with_samples(missing, state)
                 aim = aim.on(before, grid.clearance_u)
             yield grid, state, aim, note
+            excess.append(max(state.curvature / limit - 1.0, 0.0))
+            if excess[-1] > (1.0 - STALL_SHARE) * excess[max(len(excess) - 1 - STALL_ROUNDS, 0)] and len(excess) > STALL_ROUNDS:
+                return
         else:
             refused += 1
             if found is not None:
@@ -227,7 +250,7 @@ def rounds(
             trust *= 0.3
         elif gain > 0.7 * promise:
             trust = min(2.0 * trust, TRUST_MAX)
-        if idle >= (2 if first_phase(aim) else 1) or max(promise, gain) < enough or refused >= REFUSALS:
+        if idle >= (2 if first_phase(aim) else 1) or max(promise, gain) < enough or refused >= REFUSALS or trust < TRUST_MIN:
             return
 
 
