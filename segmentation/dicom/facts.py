@@ -54,9 +54,9 @@ def geometry_facts(index_to_lps: FloatArray, shape: tuple[int, ...]) -> dict[str
 
 def padding_facts(declared: int, filled: int) -> dict[str, str]:
     """Voxels outside what was scanned, by a declared value or by one far below air, as a printed value; empty without any."""
-    told = [f"{declared} voxels by the declared value"] if declared else []
-    told += [f"{filled} voxels by an undeclared one far below air"] if filled else []
-    return {PADDING: f"{' and '.join(told)} lie outside the scan and read {FILL_HU} HU"} if told else {}
+    told = [f"{declared} voxels outside the scan (declared value)"] if declared else []
+    told += [f"{filled} voxels outside the scan (undeclared value far below air)"] if filled else []
+    return {PADDING: f"{' and '.join(told)}, read as {FILL_HU} HU"} if told else {}
 
 
 def describe_orientation(index_to_lps: FloatArray) -> str:

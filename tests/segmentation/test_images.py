@@ -75,7 +75,7 @@ def test_fill_far_below_air_becomes_air_and_is_a_fact(tmp_path):
     read = read_ct(saved(image, tmp_path / "case.mha"))
     assert np.all(read.volume.voxels[:, :4, :4] == FILL_HU)
     assert read.warnings == ()
-    assert read.facts["Padding"].startswith(f"{16 * 12} voxels by an undeclared one far below air lie outside the scan")
+    assert read.facts["Padding"].startswith(f"{16 * 12} voxels outside the scan (undeclared value far below air)")
     assert read.padding.count == 16 * 12
 
 

@@ -127,7 +127,7 @@ def test_padding_becomes_air_and_is_a_fact(written, maker, tmp_path, stored_valu
     assert read.volume.voxels[:, 4:].min() > -1000
     # It decides nothing by itself: a fact of the image and no warning.
     assert read.warnings == ()
-    assert read.facts["Padding"] == "160 voxels by the declared value lie outside the scan and read -1024 HU"
+    assert read.facts["Padding"] == "160 voxels outside the scan (declared value), read as -1024 HU"
     assert read.padding.count == 160
     expected = np.zeros(read.volume.voxels.shape[1:], dtype=bool)
     expected[:4, :5] = True
@@ -158,7 +158,7 @@ def test_undeclared_fill_far_below_air_becomes_air_and_is_said(maker, tmp_path, 
     read = read_series(maker.save(tmp_path / "case", slices))
     assert np.all(read.volume.voxels[:, :4, :5] == FILL_HU)
     assert read.warnings == ()
-    assert read.facts["Padding"] == "160 voxels by an undeclared one far below air lie outside the scan and read -1024 HU"
+    assert read.facts["Padding"] == "160 voxels outside the scan (undeclared value far below air), read as -1024 HU"
     assert read.padding.count == 160
 
 

@@ -51,7 +51,7 @@ def test_a_real_series_equals_what_simpleitk_reads(name, shape, spacing, hu, lyi
 def test_padding_outside_the_scan_circle_is_masked(real_ct):
     read = read_series(real_ct("cmb_crc_chest_ct"))
     assert read.warnings == ()
-    assert read.facts["Padding"] == "5577200 voxels by the declared value lie outside the scan and read -1024 HU"
+    assert read.facts["Padding"] == "5577200 voxels outside the scan (declared value), read as -1024 HU"
     assert read.padding.count == 5577200
     # The corners a circle leaves of a square: 1 - pi/4 = 21.5 %.
     assert 5577200 / read.volume.voxels.size == pytest.approx(1 - np.pi / 4, abs=0.005)
