@@ -3,14 +3,17 @@
 # Strategy: the refinement is local, so that its end depends on the line it begins from. Where an end of the path binds,
 # nothing more can be had. Elsewhere the feature iteration runs too; should it end with less excess of curvature or
 # more clearance, both proved, the refinement goes on from its path, and if even that loses, the path itself is the answer.
+# Where that leaves an excess of curvature, a line past the sharp places is searched over place and direction (`detour`), and
+# what the refinement makes of it is the answer if it is better.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 
 from tubeplan_viz.geometry import SplineCurve, clearance_lower_bound, curvature_upper_bound
 from tubeplan_viz.plan import NoPathError
+from tubeplan_viz.tube.detour import find_detour
 from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, optimise
 from tubeplan_viz.tube.passage import OptimalSettings, Passage, Proposal
 from tubeplan_viz.tube.samples import with_knots
@@ -78,19 +81,54 @@ def never_worse(passage: Passage, settings: OptimalSettings, other: Callable[[],
         if failure is not None:
             raise failure
         return
+    touching = None if last is None else last.curve
     curve = other()
     theirs = standing(curve, passage)
-    if not theirs.beats(ours) or theirs.clearance <= 0.0:
-        if failure is not None:
-            raise failure
-        return
+    if theirs.beats(ours) and theirs.clearance > 0.0:
+        last = yield from onwards(passage, settings, curve, theirs)
+        ours = standing(last.curve, passage)
+    elif failure is not None:
+        raise failure
+    if last is not None and ours.excess > 0.0:
+        yield from past_sharp_places(passage, settings, touching or last.curve, last, ours)
+
+
+def onwards(
+    passage: Passage, settings: OptimalSettings, curve: SplineCurve, theirs: Standing
+) -> Generator[Proposal, None, Proposal]:
+    """The refinement from the feature iteration's path; the last round is no worse than that path."""
     note = f"the feature iteration ends with {theirs.clearance:.3f} mm, better than this: the refinement goes on from its path"
     given: Proposal | None = None
     for proposal in optimise(passage, settings, warm=with_knots(curve, settings.control_spacing)):
         given = given or replace(proposal, decisions=(note,))
-        last = proposal
-        yield given if proposal.phase == "fit" else proposal
+        last = given if proposal.phase == "fit" else proposal
+        yield last
     assert given is not None
-    assert last is not None
     if theirs.beats(standing(last.curve, passage)):
-        yield replace(given, decisions=("the refinement lost from there: the path of the feature iteration stands",))
+        last = replace(given, decisions=("the refinement lost from there: the path of the feature iteration stands",))
+        yield last
+    return last
+
+
+def past_sharp_places(
+    passage: Passage, settings: OptimalSettings, touching: SplineCurve, best: Proposal, ours: Standing
+) -> Iterator[Proposal]:
+    """The refinement from a line past the places where the `touching` path is too sharp; it ends no worse than the best one."""
+    found = find_detour(passage, settings, touching)
+    if found is None or found.excess >= ours.excess:
+        return
+    where = " and ".join(f"({x:.1f}, {y:.1f}, {z:.1f}) mm" for x, y, z in found.places)
+    note = (
+        f"a search over place and direction found a line past the sharp bend at {where}, "
+        f"{found.excess:.0%} over the curvature limit there, not {ours.excess:.0%}: the refinement begins again from it"
+    )
+    last = best
+    try:
+        for proposal in optimise(replace(passage, line=found.line), settings):
+            last = replace(proposal, decisions=(note,)) if proposal.phase == "fit" else proposal
+            yield last
+    except NoPathError:
+        # No spline follows the line found: the best path stands, and nothing was shown in its place.
+        return
+    if not standing(last.curve, passage).beats(ours):
+        yield replace(best, decisions=("the refinement ends no better from there: the path before the search stands",))
