@@ -96,7 +96,9 @@ def case_rows(case: CtCase, notify: Notify) -> list[Row]:
         notify(f"{case.name}, growing", 0, 0)
         rows += lumen_rows(case, volume, region, folder)
         if case.told is not None:
-            seed, limit, voxels = case.told
+            (number, row, column), limit, voxels = case.told
+            # Described from below upwards; a series may be held the other way round.
+            seed = (number if volume.index_to_lps[2, 0] > 0 else len(volume.voxels) - 1 - number, row, column)
             found = grow(volume, seed, fixed(case, -1024.0, limit, 0.0)).mask.sum()
             figure = f"voxels up to {limit:g} HU from the described seed"
             rows.append(equal(case.name, figure, float(found), float(voxels), "SOURCE.md, found with scipy label"))
