@@ -47,14 +47,16 @@ def problem(phantom: NasalPhantom) -> Problem:
 
 
 def test_every_path_found_is_free_by_the_exact_test(problem: Problem) -> None:
-    found = search(problem.judge(), problem.starts, problem.goal, SearchSettings(rolls=1, nodes=1))
+    some = problem.starts[::4]
+    found = search(problem.judge(), some, problem.goal, SearchSettings(rolls=1, nodes=1))
     assert found.feasible.any()
     assert not found.feasible.all()
+    assert sum(len(path.nodes) == 3 for path in found.paths) > 20
     judge = problem.judge(exact=True)
-    for path in found.paths[:: max(1, len(found.paths) // 40)]:
+    for path in found.paths:
         label, _ = judge.push(path.nodes[:-1], path.nodes[1:], np.full(len(path.nodes) - 1, path.roll))
         assert (label < 0).all()
-        assert path.nodes[0] == pytest.approx(problem.starts[path.start])
+        assert path.nodes[0] == pytest.approx(some[path.start])
         assert path.nodes[-1] == pytest.approx(problem.goal)
     # Every start without a path has been refused by something.
     assert np.all(found.refused[~found.feasible].sum(axis=1) > 0)
