@@ -42,12 +42,13 @@ class CtCase:
     told: tuple[tuple[int, int, int], float, int] | None = None
 
 
-# File or archive in the shared data, targets, and what SOURCE.md beside it tells (the CMB-CRC one is smoothed by hand there).
+# File or archive in the shared data, targets (SimpleITK, which reads the volume file, takes 90 MB), and what SOURCE.md
+# beside it tells (the CMB-CRC one is smoothed by hand there).
 REAL: dict[str, tuple[str, float, float, tuple[tuple[int, int, int], float, int] | None]] = {
     "cmb_crc": ("cmb_crc_chest_ct/dicom_original.tar.xz", 3.0, 400.0, None),
     "lungfcp": ("lungfcp_trachea_ct/dicom_cropped.tar.xz", 2.0, 300.0, ((60, 57, 111), -880.0, 31219)),
     "cip_ct64": ("cip_ct64_dicom/dicom.tar.xz", 1.0, 250.0, ((70, 25, 31), -850.0, 232)),
-    "elastix": ("elastix_right_lung/3DCT_lung.mha", 1.0, 250.0, ((110, 73, 108), -920.0, 5746)),
+    "elastix": ("elastix_right_lung/3DCT_lung.mha", 1.0, 320.0, ((110, 73, 108), -920.0, 5746)),
 }
 # Slices and spacing of the generated chests: an ordinary scan, and one with as many thin slices as scanners give.
 ORDINARY = ((200, 512, 512), (1.0, 0.7, 0.7))
