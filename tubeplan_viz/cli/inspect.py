@@ -52,12 +52,18 @@ def sections(found: dict[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
     return [(str(found.get("kind", "input")), whole), *series]
 
 
+# Sentences and groups have lines of their own, rows of a matrix stand apart.
+BETWEEN: dict[type, str] = {str: "\n", dict: "\n", list: " | "}
+
+
 def words(value: Any) -> str:
     """A JSON value for a reader."""
     if isinstance(value, dict):
-        return ", ".join(f"{key.replace('_', ' ')} {words(item)}" for key, item in value.items())
+        # What does not apply is left out of a group.
+        return "; ".join(f"{key.replace('_', ' ')} {words(item)}" for key, item in value.items() if item is not None)
     if isinstance(value, list):
-        return "none" if not value else ", ".join(words(item) for item in value)
+        between = BETWEEN.get(type(value[0]) if value else str, ", ")
+        return "none" if not value else between.join(words(item) for item in value)
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
