@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from segmentation.mesh import Cap, Surface
 from segmentation.region_growing import GrowthCurve, Region
 from segmentation.volume import Volume
-from tubeplan_viz.endoluminal import FilmSettings, make_film
+from tubeplan_viz.endoluminal import Film, FilmSettings, make_film
 from tubeplan_viz.result import Review
 
 
@@ -87,6 +87,15 @@ def painted(neck: float) -> Volume:
     tissue = -80.0 + 130.0 * (np.sin(lps[..., 0] / 11) + np.sin(lps[..., 2] / 17) + np.cos(lps[..., 1] / 13) > 0.4).ravel()
     hu = tissue * (1 - share) + 320.0 * share + rng.normal(0, 15, len(share))
     return Volume(hu.reshape(tuple(size)).astype(np.int16), matrix)
+
+
+@cache
+def filmed(neck: float) -> Film:
+    """What the tip sees along the axis; neither the limits nor the frame's name play a part."""
+    points, radius = axis_and_radius(neck=neck)
+    path = profile(points, radius * 0.97)
+    surface, settings = swept(points, radius, "LPS"), FilmSettings(size=48, step=6.0)
+    return make_film(surface, np.array(path["s_mm"]), points, np.array(path["clearance_mm"]), settings=settings)
 
 
 def intervals(arc: np.ndarray, values: np.ndarray, limit: float, kind: str) -> list[dict[str, Any]]:
@@ -264,7 +273,7 @@ def build_review(
         else {"File": "tube.stl", "Surface": "38\u202f480 triangles, closed"},
         first=first,
         last=path,
-        film=make_film(surface, arc, points, clearance, settings=FilmSettings(size=48, step=6.0)) if film else None,
+        film=filmed(neck) if film else None,
     )
 
 
