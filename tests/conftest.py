@@ -25,10 +25,12 @@ ARGUMENTS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--ena
 # worker with nothing to do.
 LONG = (
     "tubeplan_viz/cli/test_commands.py",
+    "cohort/test_cohort_run.py",
     "tubeplan_viz/test_real_data.py",
     "reports/test_every_run.py",
     "tubeplan_viz/needle/test_real_ct.py",
     "tubeplan_viz/bronchoscope/test_way.py",
+    "cohort/test_cohort_cluster.py",
     "tubeplan_viz/cli/test_export.py",
     "tubeplan_viz/instruments/test_matrix.py",
     "tubeplan_viz/verify/test_verified_measures.py",
