@@ -61,8 +61,8 @@ def viewpoint(points: FloatArray, frame: str, radius: float = 0.0, wall: FloatAr
     radius : float, mm
         Room to leave around the points.
     wall : (k, 3) float array, mm, optional
-        Points of the wall; those near them, by the share `SURROUNDINGS` of their extent, are seen too, so that what the path leads
-        into is not cut off, and a lung about one short branch is.
+        Points of the wall; those near them, by the share `SURROUNDINGS` of their extent, are seen too: what the path leads
+        into is not cut off, a lung about one short branch is.
     """
     seen = points if wall is None else np.concatenate([points, surroundings(points, wall)])
     target = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
