@@ -213,13 +213,15 @@ def rounds(
     excess = [max(state.curvature / limit - 1.0, 0.0)]
     scale = max(float(np.median(state.rows.clearance)), 1e-3)
     penalty = 20.0 * scale
-    enough = settings.tolerance * scale * (1.0 if first_phase(aim) else MEAN_COARSER)
+    coarse = settings.tolerance * (1.0 if first_phase(aim) else MEAN_COARSER)
     trust, idle, refused = 0.3, 0, 0
     for _ in range(most):
         problem = StepProblem(
             state.control, grid.clearance_u, state.weight, grid.clearance_basis, grid.curvature_basis, state.rows, fixed
         )
         now = merit(grid, state, aim, limit, penalty)
+        # A gain is measured against the clearance, or the curvature as the merit has it, as a share of its limit.
+        enough = coarse * (now if aim.goal == "curvature" else scale)
         found = problem.solve(aim, trust, penalty)
         gain, promise = 0.0, np.inf
         if found is not None:

@@ -9,13 +9,16 @@ from itertools import pairwise
 import numpy as np
 
 from tubeplan_viz.plan import Limits
-from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, OptimalSettings, Passage, Proposal, optimise
+from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, OptimalSettings, Passage, optimise
 
 # A proved clearance less this share, so that planning again at the value proves it with room.
 SAFE = 0.998
 # The bracket of the bend radius is closed to this ratio, well within the 2 % that must make the difference.
 RATIO = 1.008
 WIDEN = 1.3
+FARTHER = 1.5
+# So often is the place within the bracket guessed from the clearances around it, then halved.
+GUESSES = 6
 # An instrument more flexible than this many times is another instrument.
 FLEXIBLE = 6.0
 # The line between the two single changes is drawn through at least so many stretches.
@@ -93,14 +96,11 @@ def largest_clearance(passage: Passage, settings: OptimalSettings, curvature: fl
     It is what planning again with that limit proves: the same rounds from the same line.
     """
     limits = Limits(curvature_max=curvature, clearance_min=passage.limits.clearance_min)
-    proved: Proposal | None = None
     for proposal in optimise(replace(passage, limits=limits), settings):
-        if proposal.clearance is not None:
-            proved = proposal
-            break
-    if proved is None or proved.clearance is None or proved.curvature > curvature or proved.clearance.bound <= 0.0:
-        return None
-    return proved.clearance.bound
+        # A phase that ends beyond the limit is followed by another one, or by nothing.
+        if proposal.clearance is not None and proposal.curvature <= curvature:
+            return proposal.clearance.bound if proposal.clearance.bound > 0.0 else None
+    return None
 
 
 def smallest_relaxation(passage: Passage, settings: OptimalSettings, *, ceiling: float) -> Relaxation:
@@ -117,18 +117,22 @@ def smallest_relaxation(passage: Passage, settings: OptimalSettings, *, ceiling:
     """
     given, wanted = passage.limits.curvature_max, passage.limits.clearance_min + CLEARANCE_TOLERANCE
     found: dict[float, float] = {}
+    bare = given  # the line of trades begins here, or where no path was found at all
 
     def reaches(curvature: float) -> bool:
+        nonlocal bare
         clearance = largest_clearance(passage, settings, curvature)
-        if clearance is not None:
+        if clearance is None:
+            bare = max(bare, curvature)
+        else:
             found[curvature] = clearance
         return clearance is not None and clearance >= wanted
 
     high: float | None = given
     if not reaches(given):
-        high = bracket(reaches, given) if ceiling >= wanted else None
+        high = bracket(reaches, found, given, wanted) if ceiling >= wanted else None
     if high is not None and high > given:
-        for curvature in between(given, high, found):
+        for curvature in between(min(bare, high), high, found):
             reaches(curvature)
     alone = found.get(given)
     return Relaxation(
@@ -139,19 +143,63 @@ def smallest_relaxation(passage: Passage, settings: OptimalSettings, *, ceiling:
     )
 
 
-def bracket(reaches: Callable[[float], bool], low: float) -> float | None:
-    """Least curvature limit above `low` that reaches, to within `RATIO`; None when none was found."""
+def bracket(reaches: Callable[[float], bool], found: dict[float, float], low: float, wanted: float) -> float | None:
+    """Least curvature limit above `low` that reaches, to within `RATIO`; None when none was found.
+
+    Parameters
+    ----------
+    reaches : callable
+        Whether the clearance wanted is reached under a curvature limit; what it finds goes into `found`.
+    found : dict
+        Clearance in mm by curvature limit.
+    low : float, 1/mm
+        A limit that does not reach.
+    wanted : float, mm
+    """
     first, high = low, low
     while True:
-        low, high = high, high * WIDEN
+        low, high = high, high * widening(found, high, wanted)
         if high > FLEXIBLE * first:
             return None
         if reaches(high):
             break
+    guesses = 0
     while high > RATIO * low:
         middle = (low * high) ** 0.5
+        if guesses < GUESSES:
+            # First a little above the root, then as far below it as closes the bracket.
+            guess = root(found, low, high, wanted) * RATIO**0.35
+            middle = guess if guess < high / RATIO**0.5 else max(high / RATIO**0.98, middle if low not in found else 0.0)
+            middle = max(middle, low * RATIO**0.5)
+            guesses += 1
         low, high = (low, middle) if reaches(middle) else (middle, high)
     return high
+
+
+def widening(found: dict[float, float], last: float, wanted: float) -> float:
+    """By how many times the limit is widened next: a little farther than the clearance's rise between the last two promises."""
+    known = sorted(limit for limit in found if limit <= last)[-2:]
+    if last not in found or len(known) < 2 or found[known[1]] <= found[known[0]]:
+        return WIDEN
+    rise = (found[known[1]] - found[known[0]]) / np.log(known[1] / known[0])
+    return float(np.clip(np.exp(FARTHER * (wanted - found[last]) / rise), RATIO, WIDEN))
+
+
+def root(found: dict[float, float], low: float, high: float, wanted: float) -> float:
+    """Where the clearance passes the one wanted, from what is known on both sides; the middle where that tells nothing.
+
+    The logarithm of the limit is a parabola in the clearance through the three nearest limits, as far as it rises.
+    """
+    middle = float((low * high) ** 0.5)
+    if low not in found or not found[low] < wanted <= found[high]:
+        return middle
+    around = [k for k in sorted(found, key=lambda k: abs(np.log(k / middle))) if k not in (low, high)][:1]
+    limits = sorted([low, high, *around])
+    clearances = [found[k] for k in limits]
+    if any(b - a < 1e-6 for a, b in pairwise(clearances)):
+        limits, clearances = [low, high], [found[low], found[high]]
+    guess = float(np.exp(np.polyval(np.polyfit(clearances, np.log(limits), len(limits) - 1), wanted)))
+    return guess if low < guess < high else middle
 
 
 def between(low: float, high: float, found: Iterable[float]) -> list[float]:
