@@ -66,11 +66,20 @@ def _lead(source: Source, told: Mapping[str, Any]) -> Phrase:
     bound = source.figure(f"{WAY}.clearance_upper_bound_mm", 3, "mm")
     required = source.figure(f"{WAY}.required_mm", 3, "mm")
     way = (source.result.get("details") or {}).get("bottleneck") or {}
+    bend = way.get("bend")
+    bent = source.figure(f"{WAY}.bend.clearance_upper_bound_mm", 3, "mm") if bend else None
     said: list[Any] = []
-    if bound is not None and required is not None and way.get("proves_impossible"):
+    if bend and bent is not None and required is not None and bend["proves_impossible"]:
+        at = ", ".join(printed(float(value), 1) for value in bend["point_mm"])
+        said += ["Proved: under the curvature limit no path past the bend keeps ", bent, f", at ({at}) mm; ", required]
+        said += [" are asked for. "]
+    elif bound is not None and required is not None and way.get("proves_impossible"):
         at = ", ".join(printed(float(value), 1) for value in way["point_mm"])
         said += ["Proved: whatever its bends, no path keeps more than ", bound, f", at ({at}) mm; ", required]
         said += [" are asked for. "]
+    elif bent is not None:
+        said += ["No path was found, and none is excluded: under the curvature limit the sharpest bend leaves less than ", bent]
+        said += [". "]
     elif bound is not None:
         said += ["No path was found, and none is excluded: the widest way through the lumen leaves at most ", bound]
         said += [" at its narrowest place. "]

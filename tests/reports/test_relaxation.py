@@ -53,6 +53,19 @@ def test_the_smaller_change_is_named_and_both_stand_with_what_was_asked_for() ->
     assert [str(row[0]) for row in found.line] == ["10.00", "9.52"]
 
 
+def test_a_proof_by_a_bend_is_said_with_its_place_and_without_one_the_bend_is_named() -> None:
+    bend = {"clearance_upper_bound_mm": 1.914, "point_mm": [-2.3, 5.6, 0.0], "proves_impossible": True}
+    found = relief(source(RELAXATION, WAY | {"bend": bend, "proves_impossible": True}))
+    assert found is not None
+    lead = str(found.lead).replace("\u00a0", " ")
+    assert lead.startswith("Proved: under the curvature limit no path past the bend keeps 1.914 mm, at (\u22122.3, 5.6, 0.0) mm")
+    assert "2.000 mm are asked for" in lead
+    open_bend = bend | {"clearance_upper_bound_mm": 2.2, "proves_impossible": False}
+    found = relief(source(RELAXATION, WAY | {"bend": open_bend}))
+    assert found is not None
+    assert "the sharpest bend leaves less than 2.200 mm" in str(found.lead).replace("\u00a0", " ")
+
+
 def test_a_proof_is_said_with_its_place_and_without_a_trade_there_is_no_chart() -> None:
     alone = copy.deepcopy(RELAXATION) | {"smallest": "instrument radius", "curvature_per_mm": None, "bend_radius_mm": None}
     alone |= {"bend_radius_change_percent": None, "pareto": RELAXATION["pareto"][:1]}

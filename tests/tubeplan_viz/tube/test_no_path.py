@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tubeplan_viz.bench.infeasible import clearance_at_bend
 from tubeplan_viz.bench.models import Model, narrow_neck, straight_tube, torus_piece, y_junction
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import Limits, Plan, PlanStatus
@@ -55,13 +56,21 @@ def test_stenosis_below_the_instrument_is_proved_impossible_with_place_and_both_
     assert not planned(stenosis, 0.1, 1.02 * relaxation["clearance_mm"]).certificate.holds
 
 
-def test_bend_in_a_too_narrow_tube_is_not_found_but_never_called_impossible(sharp_bend: Model) -> None:
+def test_bend_in_a_too_narrow_tube_is_proved_impossible_with_place_and_both_values(sharp_bend: Model) -> None:
     plan = planned(sharp_bend, 0.1, 2.0)
-    assert plan.status is PlanStatus.FLAGGED
+    assert plan.status is PlanStatus.INFEASIBLE
     assert plan.reason is not None
-    assert "none is excluded" in plan.reason
-    assert not plan.details["bottleneck"]["proves_impossible"]
+    assert "no path exists at 0.1 1/mm: the bend at" in plan.reason
+    assert "2 mm are required" in plan.reason
+    found = plan.details["bottleneck"]
+    assert found["proves_impossible"]
+    # The lumen itself is wide enough.
+    assert found["clearance_upper_bound_mm"] > 2.0
     relaxation = plan.details["relaxation"]
+    # No proof may claim less than a path keeps.
+    assert relaxation["clearance_mm"] <= found["bend"]["clearance_upper_bound_mm"] <= 1.01 * clearance_at_bend(10.0)
+    middle = sharp_bend.axis_points[len(sharp_bend.axis_points) // 2]
+    assert np.linalg.norm(found["bend"]["point_mm"] - middle) < 1.5
     thinner, softer = relaxation["clearance_mm"], relaxation["curvature_per_mm"]
     assert relaxation["bend_radius_mm"] == pytest.approx(1.0 / softer)
     assert planned(sharp_bend, 0.1, thinner).certificate.holds
