@@ -187,3 +187,19 @@ def test_jpeg_2000_slices_with_an_empty_series_uid_are_read() -> None:
     np.testing.assert_allclose(image.volume.spacing, [2.0, 0.9765625, 0.9765625], atol=1e-4)
     assert image.volume.voxels.min() == -1024
     assert image.volume.voxels.max() == 1839
+
+
+def test_objectives_are_better_in_what_they_name_and_keep_both_limits(unpacked: Callable[[str], Path], tmp_path: Path) -> None:
+    image = unpacked("cip_ct64_dicom")
+    best, short, straight = (
+        plan_airway(image, tmp_path / name, "E2", "--objective", name, "--no-recording", "--no-report")
+        for name in ("clearance", "length", "curvature")
+    )
+    assert all(result["certificate"]["holds"] for result in (best, short, straight))
+    assert short["metrics"]["length_mm"] < min(best["metrics"]["length_mm"], straight["metrics"]["length_mm"])
+    sharpest = {name: result["metrics"]["curvature_max_per_mm"] for name, result in (("best", best), ("straight", straight))}
+    # The widest path takes the bend it is allowed; the straightest has no bend of 8 mm to make in a trachea and a bronchus.
+    assert sharpest["straight"] < 0.5 * sharpest["best"]
+    # The clearance beyond the limit of 2 mm, here 0.2 mm, is what both are paid with.
+    for result in (short, straight):
+        assert 2.0 <= result["certificate"]["clearance_lower_bound_mm"] < best["certificate"]["clearance_lower_bound_mm"]

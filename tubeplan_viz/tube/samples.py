@@ -18,7 +18,7 @@ from tubeplan_viz.tube.nearby import WallRows, rows_of, wall_rows
 from tubeplan_viz.tube.passage import OptimalSettings, Passage
 
 CURVATURE_SAMPLES = 4
-# Share of the least clearance by which it may be less between the samples than at them, and a sample's longest reach, mm.
+# Share of the least clearance by which it may be less between the samples than at them, and their longest distance, mm.
 DIP, WIDEST = 0.003, 1.0
 # What the bend of the path takes from the distance that samples may be apart.
 BENT = 0.85
@@ -93,7 +93,7 @@ class Grid:
 
     def wide_gaps(self, state: State, times: float = 1.0) -> IntArray:
         """The gaps between samples that are more than so many `times` as long as the clearances of a state allow."""
-        allowed = widest_gap(state.rows.clearance)
+        allowed = widest_gap(state.rows.clearance, state.least)
         gap = np.linalg.norm(np.diff(self.clearance_basis.curve(state.control), axis=0), axis=1)
         return np.flatnonzero(gap > times * np.minimum(allowed[:-1], allowed[1:]))
 
@@ -177,7 +177,8 @@ def turn_ends(control: FloatArray, settings: OptimalSettings) -> FloatArray:
 def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
     """Parameters of a path as far apart as `widest_gap` allows."""
     u = curve.uniform_parameters(0.25)
-    spacing = widest_gap(wall.distance(curve(u)))
+    clearance = wall.distance(curve(u))
+    spacing = widest_gap(clearance, float(clearance.min()))
     s = curve.arc_length(u)
     # As many samples as the integral of their density.
     density = np.concatenate([[0.0], np.cumsum(np.diff(s) / np.minimum(spacing[1:], spacing[:-1]))])
@@ -187,15 +188,15 @@ def sample_parameters(curve: SplineCurve, wall: WallDistance) -> FloatArray:
     return np.unique(picked)
 
 
-def widest_gap(clearance: FloatArray) -> FloatArray:
-    """How far apart in mm samples with these clearances may lie.
+def widest_gap(clearance: FloatArray, least: float) -> FloatArray:
+    """How far apart in mm samples with these clearances may lie, so that little less than `least` is missed between them.
 
     A wall point at distance d from a point of a straight path is at most sqrt(d^2 + g^2 / 4) away from the nearer end of
     the gap g about it. So samples with clearance c keep sqrt(c^2 - g^2 / 4) between them: where c is large the least
     clearance cannot be missed, and few samples do.
     """
-    kept = (1.0 - DIP) * float(clearance.min())
-    return np.clip(BENT * 2.0 * np.sqrt(clearance**2 - kept**2), 0.01, WIDEST)
+    kept = (1.0 - DIP) * least
+    return np.clip(BENT * 2.0 * np.sqrt(np.maximum(clearance**2 - kept**2, 0.0)), 0.01, WIDEST)
 
 
 def warm_start(passage: Passage, warm: SplineCurve) -> tuple[Grid, FloatArray]:
