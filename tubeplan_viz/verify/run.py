@@ -24,6 +24,7 @@ from tubeplan_viz.verify.files import check_markups, check_outputs, check_table
 from tubeplan_viz.verify.measures import check_measures
 from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
 from tubeplan_viz.verify.needle import check_needle
+from tubeplan_viz.verify.no_path import check_no_path
 from tubeplan_viz.verify.page import check_page
 from tubeplan_viz.verify.profile import OwnProfile, measure
 from tubeplan_viz.verify.rigid import check_rigid
@@ -170,8 +171,10 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
 def _measured_checks(
     result: dict[str, Any], path: BezierPath, mesh: MeshFile, table: str | None, case: dict[str, Any] | None
 ) -> Iterator[Check]:
-    own = measure(path, _lumen(result, mesh))
+    lumen = _lumen(result, mesh)
+    own = measure(path, lumen)
     yield from _claims(result, own)
+    yield from check_no_path(result, own, lumen)
     yield from check_measures(result, case, mesh, own)
     if table is not None:
         yield from check_table(table, result, own.samples)
