@@ -145,6 +145,10 @@ def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]]) -> P
         return phrase(f"The path reaches the goal, but {count_of(len(flags), 'stretch breaks', 'stretches break')} a limit")
     narrow = min((i for i, f in enumerate(flags) if f["kind"] == "clearance"), key=lambda i: flags[i]["worst"], default=None)
     sharp = max((i for i, f in enumerate(flags) if f["kind"] == "curvature"), key=lambda i: flags[i]["worst"], default=None)
+    bend = ((source.result.get("details") or {}).get("bottleneck") or {}).get("bend") or {}
+    if bend.get("proves_impossible"):
+        left = source.need("details.bottleneck.bend.clearance_upper_bound_mm", 2, "mm")
+        return phrase("No path: the bend leaves less than ", left, " for this bend radius")
     if narrow is not None and sharp is None:
         return phrase("No path: the lumen is too narrow by ", source.need(f"derived:flag.{narrow}.short_mm", 2, "mm"))
     if sharp is not None and narrow is None:

@@ -46,6 +46,12 @@ def test_one_broken_limit_is_named_with_its_amount_when_there_is_no_path(make_re
     narrow = make_review(infeasible=True, curvature_max=0.25, ct=False)
     short = narrow.result["limits"]["clearance_min_mm"] - narrow.result["metrics"]["clearance_min_mm"]
     assert f"No path: the lumen is too narrow by {short:.2f}" in text_of(render_report(narrow))
+    bend = {"clearance_upper_bound_mm": 1.234, "point_mm": [0.0, 1.0, 2.0], "proves_impossible": True}
+    details = {**narrow.result["details"], "bottleneck": {"bend": bend, "required_mm": 2.0, "proves_impossible": True}}
+    bent = dataclasses.replace(narrow, result={**narrow.result, "details": details})
+    assert "No path: the bend leaves less than 1.23 mm for this bend radius" in text_of(render_report(bent)).replace(
+        "\u00a0", " "
+    )
     sharp = make_review(infeasible=True, clearance_min=0.8, ct=False)
     assert "No path: the bend needs a radius of" in text_of(render_report(sharp))
 

@@ -2,9 +2,9 @@
 
 # Strategy: a refinement that cannot keep the curvature limit gives up clearance for curvature, so that the sharp places are where
 # its path touches the wall. A stretch of the line about each is searched over place and direction (`lattice`), from the
-# end of the path that is near, if one is, else from the line before it: at a curvature that most sharp places are passed
-# with, then at a lesser one if that gets through, or a larger one if it does not. The chain found is refined alone,
-# where a round costs little, and put in the line's place.
+# end of the path that is near, if one is, else from the line before it: at a curvature that sharp places with a way past them
+# are passed with, then at lesser ones. The chain found is refined alone, where a round costs little, and put in
+# the line's place.
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ BEFORE, BEYOND, MEETING = 2.0, 0.75, 3.0
 ALONG = 3.0
 # A path touches the wall where it keeps less than this share of the clearance of its tighter end.
 TOUCH = 0.25
-# Curvatures of the search, as multiples of the limit: tried first, if that gets through, if it does not. The lattice
-# needs more than the limit: ways of the HuBMAP ureters that have a path are passed at 1.25 to 1.5.
-MIDDLE, LESS, MORE = 1.5, 1.25, 2.0
+# Curvatures of the search, as multiples of the limit: tried first, and if that gets through. The lattice needs more than the
+# limit, ways of the HuBMAP ureters that have a path 1.25 to 1.5; none that needed more was brought within the limit.
+HIGH, LOW = 1.5, 1.25
 # Clearance that the search keeps, as a share of the least of the line there.
 KEPT = 0.15
 
@@ -148,13 +148,13 @@ def chains(passage: Passage, grid: ClearanceGrid, stretch: Stretch, scale: float
     def at(share: float) -> FloatArray | None:
         return way_through(stretch, grid, curvature=share * limit, clearance=clearance, scale=scale)
 
-    high = at(MIDDLE)
+    high = at(HIGH)
     if high is None:
-        found = [at(MORE)]
-    else:
-        low = at(LESS)
-        found = [low, high] if low is not None else [at(0.5 * (LESS + MIDDLE)), high]
-    return [chain for chain in found if chain is not None]
+        return []
+    low = at(LOW)
+    if low is None:
+        low = at(0.5 * (LOW + HIGH))
+    return [high] if low is None else [low, high]
 
 
 def refined(passage: Passage, settings: OptimalSettings) -> tuple[FloatArray, float] | None:

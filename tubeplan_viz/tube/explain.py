@@ -100,7 +100,8 @@ def bend_details(bend: BendBound, limits: Limits) -> dict[str, Any]:
 def place_words(place: FloatArray, centerline: Centerline) -> str:
     """A place in mm and how far along the centerline it lies."""
     at = centerline.arc_length[int(np.argmin(np.linalg.norm(centerline.points - place, axis=1)))]
-    x, y, z = place
+    # Adding zero makes a rounded negative zero a zero.
+    x, y, z = np.round(place, 2) + 0.0
     return f"({x:.2f}, {y:.2f}, {z:.2f}) mm, {at:.1f} mm along the centerline"
 
 
