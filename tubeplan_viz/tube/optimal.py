@@ -240,6 +240,9 @@ def rounds(
                 before = grid.clearance_u
                 grid, state = grid.with_samples(missing, state)
                 aim = aim.on(before, grid.clearance_u)
+                # A dip that only the new samples show is worth another round, however little the last one gained.
+                if state.least < after.least - tolerance_of(state):
+                    idle, promise = 0, max(promise, enough)
             yield grid, state, aim, note
             excess.append(max(state.curvature / limit - 1.0, 0.0))
             if excess[-1] > (1.0 - STALL_SHARE) * excess[max(len(excess) - 1 - STALL_ROUNDS, 0)] and len(excess) > STALL_ROUNDS:
