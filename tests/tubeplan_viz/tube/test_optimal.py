@@ -10,6 +10,7 @@ import pytest
 
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
+from tubeplan_viz.bench.infeasible import clearance_at_bend
 from tubeplan_viz.bench.models import Model, bent_cylinder_1, straight_tube, torus_piece, variant_2
 from tubeplan_viz.cases.tube import case_table, make_case
 from tubeplan_viz.centerline import Centerline
@@ -94,6 +95,16 @@ def test_straight_tube_is_passed_along_its_axis() -> None:
     # No path keeps more than the facets' inscribed circle about the axis.
     inscribed = problem.wall.distance(model.axis_points).min()
     assert 0.995 * inscribed <= certificate.clearance_lower_bound <= inscribed + 0.01
+
+
+@pytest.mark.parametrize("bend", [13.0, 21.0])
+def test_clearance_is_given_for_a_bend_as_far_as_the_closed_form_asks(bend: float) -> None:
+    # A quarter bend of 8 mm: a stiffer path must leave the axis, at 21 mm by more than half of the tube's radius.
+    problem = posed(torus_piece(bend_radius=8.0, radius=2.5), Limits(curvature_max=1.0 / bend, clearance_min=0.5))
+    certificate = certify(answer(problem), problem.wall, problem.limits)
+    assert certificate.holds
+    # Within 2 %: the facets lie inside the tube, and the proof falls short of the path by 0.002 mm.
+    assert certificate.clearance_lower_bound == pytest.approx(clearance_at_bend(bend), rel=0.02)
 
 
 def test_optimal_is_no_worse_than_feature_iteration_under_the_same_curvature_limit() -> None:
