@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,12 +10,15 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.centerline import Centerline
-from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.plan import Limits
+from tubeplan_viz.geometry import SplineCurve, WallDistance
+from tubeplan_viz.plan import Limits, NoPathError
 from tubeplan_viz.tube.bend import BendBound, bend_bound
 from tubeplan_viz.tube.bottleneck import Bottleneck, widest_way
-from tubeplan_viz.tube.optimal import OptimalSettings, passage_of
+from tubeplan_viz.tube.optimal import OptimalSettings, Passage
 from tubeplan_viz.tube.relax import Relaxation, smallest_relaxation
+
+# Distance of points along the best path, mm, as along a centerline.
+LINE_SPACING = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +40,9 @@ class Explanation:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
-def explain(wall: WallDistance, centerline: Centerline, limits: Limits, settings: OptimalSettings) -> Explanation:
+def explain(
+    wall: WallDistance, centerline: Centerline, limits: Limits, settings: OptimalSettings, *, path: SplineCurve | None = None
+) -> Explanation:
     """Prove that no path exists where it can be proved, and find the smallest relaxation.
 
     Parameters
@@ -48,10 +53,15 @@ def explain(wall: WallDistance, centerline: Centerline, limits: Limits, settings
     limits : Limits
         That the best path found does not meet.
     settings : OptimalSettings
+    path : SplineCurve, optional
+        The best path found, if it keeps the curvature limit: what lies along it is looked at too.
     """
     start, goal = centerline.points[0], centerline.points[-1]
     way = widest_way(wall, start, goal, limit=limits.clearance_min)
-    relaxation = smallest_relaxation(passage_of(wall, centerline, limits), settings, ceiling=way.bound)
+    lines = [centerline.points]
+    if path is not None:
+        lines.append(path(path.uniform_parameters(LINE_SPACING)))
+    relaxation = relaxation_along(lines, wall, limits, settings, ceiling=way.bound)
     narrow = way.bound < limits.clearance_min
     bend = None
     if not narrow:
@@ -82,6 +92,22 @@ def explain(wall: WallDistance, centerline: Centerline, limits: Limits, settings
         "relaxation": relaxation.details(),
     }
     return Explanation(impossible=narrow or sharp, sentence=sentence, details=details)
+
+
+def relaxation_along(
+    lines: Sequence[FloatArray], wall: WallDistance, limits: Limits, settings: OptimalSettings, *, ceiling: float
+) -> Relaxation:
+    """The smallest relaxation from the first line that a path under the curvature limit is found from; else from the last one."""
+    found = Relaxation(limits=limits, clearance=None, curvature=None, pareto=())
+    for line in lines:
+        try:
+            found = smallest_relaxation(Passage(wall=wall, line=line, limits=limits), settings, ceiling=ceiling)
+        except NoPathError:
+            # No spline follows this line inside the lumen: it tells nothing.
+            continue
+        if found.clearance is not None:
+            break
+    return found
 
 
 def bend_details(bend: BendBound, limits: Limits) -> dict[str, Any]:

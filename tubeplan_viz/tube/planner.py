@@ -227,7 +227,8 @@ def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
         "goal_mm": problem.goal,
     }
     if problem.settings.method == "optimal" and status is not PlanStatus.OK:
-        why = explain(problem.wall, problem.centerline, limits, problem.settings.optimal)
+        path = last.curve if certificate.curvature_upper_bound <= limits.curvature_max else None
+        why = explain(problem.wall, problem.centerline, limits, problem.settings.optimal, path=path)
         details |= why.details
         status = PlanStatus.INFEASIBLE if why.impossible else status
         reason = why.sentence if why.impossible else f"{reason}; {why.sentence}"

@@ -7,10 +7,13 @@ import pytest
 
 from tubeplan_viz.bench.infeasible import clearance_at_bend
 from tubeplan_viz.bench.models import Model, narrow_neck, straight_tube, torus_piece, y_junction
+from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.plan import Limits, Plan, PlanStatus
-from tubeplan_viz.tube import TubeSettings, conclude, pose_problem, tube_steps
+from tubeplan_viz.tube import OptimalSettings, TubeSettings, conclude, pose_problem, tube_steps
 from tubeplan_viz.tube.bottleneck import widest_way
+from tubeplan_viz.tube.explain import explain
+from tubeplan_viz.tube.spline import spline_through
 from tubeplan_viz.tube.triangulation import triangle_widths
 
 NECK = 1.0
@@ -90,6 +93,22 @@ def test_bend_in_a_too_narrow_tube_is_proved_impossible_with_place_and_both_valu
     assert relaxation["clearance_change_percent"] == pytest.approx(changes["instrument radius"])
     assert relaxation["bend_radius_change_percent"] == pytest.approx(changes["bend radius"])
     assert relaxation["smallest"] == max(changes, key=lambda name: changes[name])
+
+
+def test_what_would_do_is_looked_for_along_the_best_path_where_no_spline_follows_the_centerline() -> None:
+    model = straight_tube()
+    wall = WallDistance(model.surface)
+    strayed = np.array(model.axis_points)
+    strayed[20:-20, 0] += 8.0
+    centerline = Centerline(strayed, wall.distance(strayed))
+    limits = Limits(curvature_max=0.1, clearance_min=1.5 * float(wall.distance(model.axis_points).max()))
+    axis = spline_through(np.array(model.axis_points[:: len(model.axis_points) // 6]))[0]
+    lost = explain(wall, centerline, limits, OptimalSettings())
+    assert lost.details["relaxation"]["clearance_mm"] is None
+    found = explain(wall, centerline, limits, OptimalSettings(), path=axis)
+    # The axis itself keeps the most; what is named is a little less, so that planning again proves it.
+    kept = float(wall.distance(model.axis_points[[0, -1]]).min())
+    assert 0.98 * kept <= found.details["relaxation"]["clearance_mm"] <= kept
 
 
 def test_a_start_too_near_to_the_wall_is_its_own_proof() -> None:
