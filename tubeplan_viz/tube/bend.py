@@ -25,7 +25,7 @@ import numpy as np
 from segmentation.arrays import FloatArray, IntArray, frozen_array
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.tube.cells import CORNERS, ball_bound, first_cells, measured
+from tubeplan_viz.tube.cells import CORNERS, Cells, ball_bound, first_cells, measured
 from tubeplan_viz.tube.gates import Gate, Passing, meets, passing
 
 # The bound is closed to this share.
@@ -38,7 +38,7 @@ TRIED = 4
 # The centerline is not the best path: a bend that it makes look passable by less than this, rad, is tried.
 PROMISING = -0.02
 # Triples kept at most; more are not worth the time.
-TRIPLES_MAX = 1_500_000
+TRIPLES_MAX = 400_000
 BLOCK = 2_000_000
 # Cubes of this share of the clearance are split no more.
 FINEST = 0.002
@@ -114,12 +114,16 @@ def bend_bound(
     """
     way = resampled(centerline, STEP / curvature)
     low, high = max(known, 0.0), ceiling
-    best = excluding_bend(wall, way, curvature, ceiling)
+    if not promising_windows(way, curvature, ceiling):
+        return None
+    # Cubes that can keep the least that is tried serve all that is tried.
+    cells = first_cells(wall, low)
+    best = excluding_bend(cells, way, curvature, ceiling)
     if best is None:
         return None
     tried = limit if low < limit < high else 0.5 * (low + high)
     while high - low > CLOSE * ceiling:
-        found = excluding_bend(wall, way, curvature, tried)
+        found = excluding_bend(cells, way, curvature, tried)
         if found is None:
             low = tried
         else:
@@ -136,18 +140,22 @@ def resampled(centerline: Centerline, spacing: float) -> Centerline:
     return Centerline(points, np.interp(even, s, centerline.radii))
 
 
-def excluding_bend(wall: WallDistance, way: Centerline, curvature: float, clearance: float) -> BendBound | None:
-    """A bend that no path with this curvature and clearance passes; None when none is proved to be one."""
-    windows = [window for window in sharpest_windows(way, curvature, clearance) if window.lack > PROMISING]
-    if not windows:
-        return None
-    cells = first_cells(wall, clearance)
-    for window in windows[:TRIED]:
+def excluding_bend(cells: Cells, way: Centerline, curvature: float, clearance: float) -> BendBound | None:
+    """A bend that no path with this curvature and clearance passes; None when none is proved to be one.
+
+    The cubes are of one size and cover the lumen where the clearance can reach `clearance`.
+    """
+    for window in promising_windows(way, curvature, clearance):
         bend = passing(cells, way, (window.first, window.middle, window.last), clearance=clearance, curvature=curvature)
-        if bend is not None and excluded(wall, bend, curvature, clearance):
+        if bend is not None and excluded(cells.wall, bend, curvature, clearance):
             one, two, three = (Section(point=gate.origin, normal=gate.normal, radius=gate.radius) for gate in bend.gates)
             return BendBound(bound=clearance, sections=(one, two, three))
     return None
+
+
+def promising_windows(way: Centerline, curvature: float, clearance: float) -> list[Window]:
+    """The windows worth a try."""
+    return [window for window in sharpest_windows(way, curvature, clearance) if window.lack > PROMISING][:TRIED]
 
 
 def sharpest_windows(way: Centerline, curvature: float, clearance: float) -> list[Window]:

@@ -62,7 +62,8 @@ class ClearanceGrid:
     ----------
     wall : WallDistance
     voxel : float, mm
-        Edge. The value is exact in the middle and off by at most the wall's curvature times a quarter of the square of the edge.
+        Edge. The value is exact in the middle; elsewhere it is off by at most 3/8 of the square of the edge over the least
+        radius of the surface of equal clearance there.
     """
 
     def __init__(self, wall: WallDistance, voxel: float) -> None:
@@ -160,7 +161,7 @@ def way_through(stretch: Stretch, grid: ClearanceGrid, *, curvature: float, clea
         )
         if len(met):
             best = int(met[np.argmax(widest[met])])
-            # A few bend radii's worth of line are left out behind the meeting, so that the join is smooth.
+            # Some of the line behind the meeting is left out, more of it the farther off it was met, so that the join is smooth.
             rest = np.searchsorted(s, s[nearest[best]] + max(4.0 * gap[best], 2.0 * arc))
             return np.concatenate([chain(layers, best), line[min(int(rest), len(line) - 1) :]])
     return None

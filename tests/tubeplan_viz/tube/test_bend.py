@@ -15,7 +15,7 @@ from tubeplan_viz.plan import Limits
 from tubeplan_viz.tube import TubeProblem, TubeSettings, pose_problem
 from tubeplan_viz.tube.bend import STEP, bend_bound, excluded, excluding_bend, resampled, sharpest_windows
 from tubeplan_viz.tube.cells import first_cells
-from tubeplan_viz.tube.gates import ball_radius, passing
+from tubeplan_viz.tube.gates import Gate, ball_radius, passing
 
 BEND, TUBE = 8.0, 2.5
 
@@ -43,7 +43,7 @@ def test_what_is_possible_in_a_quarter_bend_is_never_excluded(quarter: TubeProbl
     for path_bend in (8.2, 10.0, 20.0):
         way = resampled(quarter.centerline, STEP * path_bend)
         clearance = share * clearance_at_bend(path_bend, bend=BEND, radius=TUBE)
-        assert excluding_bend(quarter.wall, way, 1.0 / path_bend, clearance) is None
+        assert excluding_bend(first_cells(quarter.wall, clearance), way, 1.0 / path_bend, clearance) is None
 
 
 def test_bound_of_two_bends_lies_above_the_planar_optimum_and_below_what_the_ends_keep() -> None:
@@ -69,8 +69,8 @@ def test_no_clearance_that_a_path_keeps_is_ever_excluded() -> None:
         tried += 1
         points = tube.axis.at(np.linspace(0.0, tube.axis.length, 200))[0]
         way = resampled(Centerline(points, wall.distance(points)), STEP / curvature)
-        assert excluding_bend(wall, way, curvature, clearance) is None
         cells = first_cells(wall, clearance)
+        assert excluding_bend(cells, way, curvature, clearance) is None
         # Windows that do not even look too sharp, too.
         for window in sharpest_windows(way, curvature, clearance)[:8]:
             bend = passing(cells, way, (window.first, window.middle, window.last), clearance=clearance, curvature=curvature)
@@ -81,7 +81,7 @@ def test_no_clearance_that_a_path_keeps_is_ever_excluded() -> None:
     assert windows_tried >= 8
 
 
-def assert_crossed_in_order(points: FloatArray, gates: tuple) -> None:  # type: ignore[type-arg]
+def assert_crossed_in_order(points: FloatArray, gates: tuple[Gate, Gate, Gate]) -> None:
     """Some crossing of each gate's plane within its radius, in the order of the gates."""
     at = -1
     for gate in gates:
@@ -134,7 +134,7 @@ def bending_curve(rng: np.random.Generator, *, pieces: int, length: float, count
         made.extend(point + np.sin(angle) * tangent + (1.0 - np.cos(angle)) * normal)
         point = made[-1]
         turn = float(angle[-1, 0])
-        tangent, normal = np.cos(turn) * tangent + np.sin(turn) * normal, normal
+        tangent = np.cos(turn) * tangent + np.sin(turn) * normal
     return np.array(made)
 
 
