@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from segmentation.mesh_files import write_ply
-from tubeplan_viz.bench.models import narrow_neck
+from tubeplan_viz.bench.models import narrow_neck, variant_2
 
 FLAT = """[planner]
 name = "needle2d"
@@ -93,6 +93,7 @@ def write_files(folder: Path, *, mesh: bool) -> Path:
     neck = folder / "meshes" / "neck.ply"
     if mesh:
         write_ply(narrow_neck().surface, neck)
+        write_ply(variant_2().surface, folder / "meshes" / "bent.ply")
     else:
         neck.write_bytes(b"ply\n")
     (folder / "meshes" / "damaged.ply").write_bytes(neck.read_bytes()[: 40_000 if mesh else 2])

@@ -35,9 +35,10 @@ from tubeplan_viz.cohort.tasks import Answer, Task
 
 OWN = {JOURNAL, "cohort.json", "cohort.csv", "index.html"}
 # A tube that the feature iteration never gets through: it goes on until it is ended.
+# The feature iteration goes on moving points of a bend that cannot be as straight as is asked.
 ENDLESS = """[[cases]]
 id = "{id}"
-input.mesh = "meshes/neck.ply"
+input.mesh = "meshes/bent.ply"
 planner = {{ start = "E1", goal = "E2", method = "feature_iteration" }}
 limits = {{ curvature_max = 0.03, clearance_min = 2.9 }}
 tube = {{ max_rounds = 1000000, unchanged_rounds = 1000000 }}
