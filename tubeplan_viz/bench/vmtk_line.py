@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,10 +28,11 @@ from tubeplan_viz.bench.peers import VMTK_RUNS_ON, run_vmtk, vmtk_python
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bench.trees import TreeModel, airway_tree, renal_tree
 from tubeplan_viz.centerline import trace_centerline, voronoi_graph
-from tubeplan_viz.geometry import SplineCurve, WallDistance
+from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
 from tubeplan_viz.pipeline import Notify
 from tubeplan_viz.plan import Limits
-from tubeplan_viz.tube import OptimalSettings, Passage, optimise
+from tubeplan_viz.tube import OptimalSettings, TubeProblem, TubeSettings, optimise, tube_rounds
+from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, passage_of
 
 CURVATURE_MAX = 0.125
 # Root mean square distance, mm, that the smoothing spline may leave its line by.
@@ -132,8 +134,16 @@ def tree_rows(ways: Ways) -> list[Row]:
         if middle is None:
             raise TubeplanError(f"{case}: no centerline was found, expected one; check the tree's mesh")
         for kind, peer in peers.items():
-            passage = Passage(wall=wall, line=middle.points, limits=limits_of(peer))
-            found = target_rows(f"{case}, {kind}", passage, peer, source)
+            problem = TubeProblem(
+                surface=ways.surface,
+                wall=wall,
+                centerline=middle,
+                start=ways.root,
+                goal=goal,
+                limits=limits_of(peer),
+                settings=TubeSettings(),
+            )
+            found = target_rows(f"{case}, {kind}", problem, peer, source)
             if middle.radii.min() < NECK:
                 found = [replace(row, target=f"shown only: a neck under {NECK:g} mm", holds=None) for row in found]
             rows += found
@@ -145,13 +155,11 @@ def limits_of(peer: Peer) -> Limits:
     return Limits(curvature_max=peer.curvature if peer.least > 0.0 else CURVATURE_MAX, clearance_min=0.0)
 
 
-def target_rows(case: str, passage: Passage, peer: Peer, source: str) -> list[Row]:
+def target_rows(case: str, problem: TubeProblem, peer: Peer, source: str) -> list[Row]:
     """The optimal path at the peer's curvature, beside the peer."""
-    proved = next((proposal for proposal in optimise(passage, OptimalSettings()) if proposal.clearance is not None), None)
-    if proved is None or proved.clearance is None:
-        raise TubeplanError(f"{case}: the search ended without a proof, expected one")
-    ends = float(passage.wall.distance(passage.line[[0, -1]]).min())
-    bound, kept = proved.clearance.bound, proved.curvature <= peer.curvature
+    ends = float(problem.wall.distance(problem.centerline.points[[0, -1]]).min())
+    bound, mean, curvature = whole_method(problem) if peer.least <= 0.0 else refinement(problem)
+    kept = curvature <= peer.curvature
     # A spline that leaves the lumen is no path, and at its curvature there may be none: ours has to be one, whatever it needs.
     if peer.least <= 0.0:
         holds, target = bound > 0.0, f"over 0: the spline leaves the lumen at {peer.curvature:.4f} 1/mm"
@@ -162,15 +170,32 @@ def target_rows(case: str, passage: Passage, peer: Peer, source: str) -> list[Ro
     return [
         Row(
             case=case,
-            figure=f"least clearance mm at {proved.curvature if peer.least <= 0.0 else peer.curvature:.4f} 1/mm, proved",
+            figure=f"least clearance mm at {curvature if peer.least <= 0.0 else peer.curvature:.4f} 1/mm, proved",
             ours=bound,
             reference=peer.least,
             source=f"{source}, sampled, smoothed by {peer.smoothing:.2f} mm",
             target=target,
             holds=bool(holds),
         ),
-        Row(case=case, figure="mean clearance mm", ours=proved.mean, reference=peer.mean, source=source),
+        Row(case=case, figure="mean clearance mm", ours=mean, reference=peer.mean, source=source),
     ]
+
+
+def refinement(problem: TubeProblem) -> tuple[float, float, float]:
+    """Least clearance, mm, proved; mean clearance, mm, and curvature bound, 1/mm, of the refinement's first phase."""
+    passage = passage_of(problem.wall, problem.centerline, problem.limits)
+    proved = next((proposal for proposal in optimise(passage, OptimalSettings()) if proposal.clearance is not None), None)
+    if proved is None or proved.clearance is None:
+        raise TubeplanError("the search ended without a proof, expected one")
+    return proved.clearance.bound, proved.mean, proved.curvature
+
+
+def whole_method(problem: TubeProblem) -> tuple[float, float, float]:
+    """The same of the method's last path, with all that it tries where the refinement alone keeps no curvature limit."""
+    curve = deque(tube_rounds(problem), maxlen=1)[0].curve
+    mean = float(problem.wall.clearance(curve(curve.uniform_parameters(SAMPLE_STEP))).mean())
+    curvature = curvature_upper_bound(curve, limit=problem.limits.curvature_max).bound
+    return clearance_lower_bound(curve, problem.wall, tolerance=CLEARANCE_TOLERANCE).bound, mean, curvature
 
 
 def peer_lines(tree: Ways, wall: WallDistance) -> tuple[list[FloatArray], str]:
