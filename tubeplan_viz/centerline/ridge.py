@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from segmentation.arrays import FloatArray
-from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.geometry import WallDistance, across
 
 PROBES = 12
 # Share of the radius at which probes stand: off the ridge, where the nearest wall point is single and found fast.
@@ -65,12 +65,7 @@ def to_ridge(points: FloatArray, wall: WallDistance, *, radii: FloatArray, reach
 
 def normal_planes(points: FloatArray) -> FloatArray:
     """Two unit vectors across a polyline at each of its points, (n, 3, 2)."""
-    tangent = np.gradient(points, axis=0)
-    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-12)
-    helper = np.eye(3)[np.argmin(np.abs(tangent), axis=1)]
-    first = np.cross(tangent, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(tangent, first)], axis=2)
+    return np.stack(across(np.gradient(points, axis=0)), axis=2)
 
 
 def greatest_least(level: FloatArray, slope: FloatArray, scale: FloatArray) -> FloatArray:

@@ -1,10 +1,19 @@
-"""Frames that turn as little as possible along a line."""
+"""Directions across a line: any at each tangent, and frames that turn as little as possible along it."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from segmentation.arrays import FloatArray
+
+
+def across(tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Two unit vectors perpendicular to each tangent and to each other, (k, 3) each."""
+    unit = tangents / np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
+    side = np.cross(unit, helper)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    return side, np.cross(unit, side)
 
 
 def moving_frames(points: FloatArray, *, first: FloatArray | None = None) -> FloatArray:

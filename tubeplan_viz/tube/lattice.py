@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray, IntArray, frozen_array
-from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.tube.nearby import across
+from tubeplan_viz.geometry import WallDistance, across
 
 # Lengths as shares of the scale, the bend radius or less: an arc, the edge of a cube, the edge of a voxel of the clearance.
 ARC, CELL, VOXEL = 0.075, 0.05, 0.03

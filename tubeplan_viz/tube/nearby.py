@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
-from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.geometry import WallDistance, across
 
 # Directions around the path in which wall is looked for, and how far out from it, as a
 # share of the clearance: far enough that the nearest face lies in that direction.
@@ -174,12 +174,3 @@ def faces_around(points: FloatArray, tangents: FloatArray, gap: FloatArray, wall
 def _closest(wall: WallDistance, points: FloatArray, faces: IntArray) -> FloatArray:
     count = faces.shape[1]
     return wall.triangles.closest(np.repeat(points, count, axis=0), faces.ravel()).reshape(len(points), count, 3)
-
-
-def across(tangents: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Two unit vectors perpendicular to each tangent and to each other, (k, 3) each."""
-    unit = tangents / np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
-    helper = np.eye(3)[np.argmin(np.abs(unit), axis=1)]
-    side = np.cross(unit, helper)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return side, np.cross(unit, side)

@@ -18,8 +18,9 @@ import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
+from tubeplan_viz.geometry import across
 from tubeplan_viz.tube.basis import Basis
-from tubeplan_viz.tube.nearby import WallRows, across
+from tubeplan_viz.tube.nearby import WallRows
 
 # The path's speed may not fall under this share of its mean: a near-cusp hides between samples.
 SPEED_MIN = 0.4
