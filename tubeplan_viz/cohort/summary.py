@@ -10,12 +10,8 @@ import platform as running
 import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
-
-from jsonschema import Draft202012Validator
 
 from reports import render_cohort
 from tubeplan_viz import __version__
@@ -23,7 +19,7 @@ from tubeplan_viz.cohort.errors import CohortError
 from tubeplan_viz.cohort.manifest import CohortCase, Manifest
 from tubeplan_viz.cohort.tasks import CaseStatus
 from tubeplan_viz.cohort.words import kind_of_reason
-from tubeplan_viz.result import RESULT, plain
+from tubeplan_viz.result import RESULT, check_schema, plain, shipped_schema
 from tubeplan_viz.result.document import METRICS
 
 SUMMARY_FILES = ("cohort.json", "cohort.csv", "index.html")
@@ -167,11 +163,9 @@ def cohort_document(
     return document
 
 
-@cache
 def cohort_schema() -> dict[str, Any]:
     """The schema of cohort.json (JSON Schema 2020-12)."""
-    schema: dict[str, Any] = json.loads(files("tubeplan_viz.cohort").joinpath("cohort.schema.json").read_text(encoding="utf-8"))
-    return schema
+    return shipped_schema("tubeplan_viz.cohort", "cohort")
 
 
 def validate_cohort(document: Mapping[str, Any]) -> None:
@@ -182,11 +176,7 @@ def validate_cohort(document: Mapping[str, Any]) -> None:
     CohortError
         Naming the first key that is wrong.
     """
-    faults = Draft202012Validator(cohort_schema()).iter_errors(document)
-    first = min(faults, key=lambda fault: (len(fault.absolute_path), [str(key) for key in fault.absolute_path]), default=None)
-    if first is not None:
-        place = ".".join(str(key) for key in first.absolute_path) or "the top level"
-        raise CohortError(f"cohort.json: at {place}: {first.message[:200]}; expected as in cohort.schema.json, run it again")
+    check_schema(document, cohort_schema(), name="cohort", remedy="run it again", error=CohortError)
     counted = {status: sum(row["status"] == status for row in document["cases"]) for status in document["counts"]}
     if counted != document["counts"]:
         raise CohortError(f"cohort.json: counts are {document['counts']}, its cases give {counted}; run it again")

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from functools import cache
-from importlib.resources import files
 from typing import Any
 
-from jsonschema import Draft202012Validator
-
 from segmentation.errors import TubeplanError
+from tubeplan_viz.result import check_schema, shipped_schema
 
 
 class MatrixError(TubeplanError):
     """A matrix.json that does not follow its schema."""
 
 
-@cache
 def matrix_schema() -> dict[str, Any]:
     """The schema of matrix.json (JSON Schema 2020-12)."""
-    schema: dict[str, Any] = json.loads(
-        files("tubeplan_viz.instruments").joinpath("matrix.schema.json").read_text(encoding="utf-8")
-    )
-    return schema
+    return shipped_schema("tubeplan_viz.instruments", "matrix")
 
 
 def validate_matrix(document: Mapping[str, Any]) -> None:
@@ -36,11 +28,7 @@ def validate_matrix(document: Mapping[str, Any]) -> None:
     MatrixError
         Naming the first key that is wrong.
     """
-    faults = Draft202012Validator(matrix_schema()).iter_errors(document)
-    first = min(faults, key=lambda fault: (len(fault.absolute_path), [str(key) for key in fault.absolute_path]), default=None)
-    if first is not None:
-        place = ".".join(str(key) for key in first.absolute_path) or "the top level"
-        raise MatrixError(f"matrix.json: at {place}: {first.message[:200]}; expected as in matrix.schema.json, make it again")
+    check_schema(document, matrix_schema(), name="matrix", remedy="make it again", error=MatrixError)
     rows, columns = len(document["instruments"]), len(document["targets"])
     widths = {len(row) for row in document["cells"]}
     if len(document["cells"]) != rows or widths != {columns} or len(document["paths"]) != columns:

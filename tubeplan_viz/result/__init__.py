@@ -6,7 +6,7 @@ from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, flag_markups, path_csv, slicer_markups
 from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, not_a_run, read_result
 from tubeplan_viz.result.review import Review
-from tubeplan_viz.result.schema import result_schema, validate_result
+from tubeplan_viz.result.schema import check_schema, result_schema, shipped_schema, validate_result
 
 __all__ = [
     "COMPARISON_FILES",
@@ -22,6 +22,7 @@ __all__ = [
     "RunFolderError",
     "assemble_result",
     "build_result",
+    "check_schema",
     "compare_runs",
     "file_sha256",
     "flag_markups",
@@ -33,6 +34,7 @@ __all__ = [
     "read_runs",
     "result_schema",
     "result_text",
+    "shipped_schema",
     "slicer_markups",
     "validate_result",
 ]

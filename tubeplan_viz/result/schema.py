@@ -1,4 +1,4 @@
-"""The JSON Schema of result.json, and what it cannot say."""
+"""Documents against the JSON Schemas that ship with the package; result.json, and what its schema cannot say."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
+from segmentation.errors import TubeplanError
 from tubeplan_viz.result.errors import ResultError
 
 PATH_SPACING_MAX_MM = 0.25  # spec 0.4
@@ -18,10 +19,34 @@ SPACING_ROUNDING_MM = 1e-9  # s_mm are differences of numbers near 1e3 mm
 
 
 @cache
-def result_schema() -> dict[str, Any]:
-    """The schema that ships with the package (JSON Schema 2020-12)."""
-    schema: dict[str, Any] = json.loads(files("tubeplan_viz.result").joinpath("result.schema.json").read_text(encoding="utf-8"))
+def shipped_schema(package: str, name: str) -> dict[str, Any]:
+    """A schema that ships with the package (JSON Schema 2020-12): `name` of ``name.schema.json`` in one of its parts."""
+    schema: dict[str, Any] = json.loads(files(package).joinpath(f"{name}.schema.json").read_text(encoding="utf-8"))
     return schema
+
+
+def check_schema(
+    document: Mapping[str, Any], schema: Mapping[str, Any], *, name: str, remedy: str, error: type[TubeplanError]
+) -> None:
+    """Hold a document, made of plain JSON values, against its schema.
+
+    Raises
+    ------
+    error
+        Naming the first key of ``name.json`` that is wrong, and the remedy.
+    """
+    faults = Draft202012Validator(schema).iter_errors(document)
+    first = min(faults, key=lambda fault: (len(fault.absolute_path), [str(key) for key in fault.absolute_path]), default=None)
+    if first is None:
+        return
+    place = ".".join(str(key) for key in first.absolute_path) or "the top level"
+    message = first.message if len(first.message) < 200 else f"{first.message[:90]} ... {first.message[-90:]}"
+    raise error(f"{name}.json: at {place}: {message}; expected as in {name}.schema.json, {remedy}")
+
+
+def result_schema() -> dict[str, Any]:
+    """The schema of result.json."""
+    return shipped_schema("tubeplan_viz.result", "result")
 
 
 def validate_result(result: Mapping[str, Any]) -> None:
@@ -35,12 +60,7 @@ def validate_result(result: Mapping[str, Any]) -> None:
     ResultError
         Naming the first key that is wrong, what was found there and what is expected.
     """
-    faults = Draft202012Validator(result_schema()).iter_errors(result)
-    first = min(faults, key=lambda fault: (len(fault.absolute_path), [str(key) for key in fault.absolute_path]), default=None)
-    if first is not None:
-        place = ".".join(str(key) for key in first.absolute_path) or "the top level"
-        message = first.message if len(first.message) < 200 else f"{first.message[:90]} ... {first.message[-90:]}"
-        raise ResultError(f"result.json: at {place}: {message}; expected as in result.schema.json, plan the case again")
+    check_schema(result, result_schema(), name="result", remedy="plan the case again", error=ResultError)
     _check_path(result)
     _check_spline(result)
 
