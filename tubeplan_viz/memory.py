@@ -15,5 +15,9 @@ def peak_memory() -> float:
         return float(line.split()[1]) / 1024.0
     import resource  # absent on Windows
 
-    unit = 1024.0**2 if sys.platform == "darwin" else 1024.0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+
+def megabytes(maxrss: float) -> float:
+    """The largest resident set that `getrusage` or `wait4` tell, MB."""
+    return maxrss / (1024.0**2 if sys.platform == "darwin" else 1024.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +16,7 @@ from tubeplan_viz.bench.head_ct import CRANIUM, read_head_ct
 from tubeplan_viz.bench.rigid_brute import BruteForce, brute_force
 from tubeplan_viz.bench.rigid_exact import free_paths
 from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.memory import peak_memory
 from tubeplan_viz.pipeline import Notify, silent
 from tubeplan_viz.rigid import (
     CoupledInstrument,
@@ -87,7 +87,7 @@ def real_head(notify: Notify) -> list[Row]:
     problem = make_problem(shrink(scene, 1.0, "left").scene, "left", lesion.center, instrument=CoupledInstrument())
     found = search(problem.judge(), problem.starts, problem.goal, SearchSettings())
     seconds = time.perf_counter() - begun
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    memory = peak_memory() / 1024.0
     case = "real head CT, left"
     return [
         Row(case=case, figure="starts", ours=float(len(problem.starts))),

@@ -14,7 +14,6 @@ import os
 import resource
 import selectors
 import signal
-import sys
 import time
 import tomllib
 from collections.abc import Callable
@@ -28,6 +27,7 @@ from tubeplan_viz import __version__
 from tubeplan_viz.cohort.state import sweep
 from tubeplan_viz.cohort.tasks import CaseStatus, Task
 from tubeplan_viz.cohort.words import fault_words, without_paths
+from tubeplan_viz.memory import megabytes
 from tubeplan_viz.pipeline import RunOptions
 from tubeplan_viz.plan import NoPathError
 from tubeplan_viz.planners import make_case, run_case
@@ -90,7 +90,7 @@ def attend(task: Task, send: Send) -> dict[str, Any]:
         "ended": ended,
         "wall_s": round(time.monotonic() - begun, 3),
         "cpu_s": round(used.ru_utime + used.ru_stime, 3),
-        "peak_memory_mb": round(used.ru_maxrss / (1024.0**2 if sys.platform == "darwin" else 1024.0), 1),
+        "peak_memory_mb": round(megabytes(used.ru_maxrss), 1),
     }
 
 
