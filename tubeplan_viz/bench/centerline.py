@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -18,12 +17,13 @@ from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from segmentation.mesh_files import read_surface, write_ply
 from tubeplan_viz.bench import centerline_methods
+from tubeplan_viz.bench.alone import run_alone
 from tubeplan_viz.bench.centerline_methods import METHODS, NEEDS
 from tubeplan_viz.bench.curvature import curvature_rows
 from tubeplan_viz.bench.models import Meshing, Model, bent_cylinder_1
 from tubeplan_viz.bench.peers import SCRIPT as VMTK_SCRIPT
 from tubeplan_viz.bench.peers import VMTK_RUNS_ON, vmtk_python
-from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.bench.rows import Row, under
 from tubeplan_viz.bench.trees import TreeModel, airway_tree, renal_tree
 from tubeplan_viz.centerline import trace_centerline, voronoi_graph
 from tubeplan_viz.geometry import WallDistance
@@ -156,14 +156,12 @@ def method_rows(trial: Trial, method: str) -> list[Row]:
         script = [VMTK_SCRIPT] if method == VMTK_METHOD else [Path(centerline_methods.__file__), method]
         begun = time.perf_counter()
         command = [python, "-P", *map(str, (*script, mesh, ends, out))]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
-        except subprocess.TimeoutExpired:
+        ended = run_alone(command, limit=TIME_LIMIT)
+        if ended.status is None:
             return [Row(case=case, figure="stopped after s", ours=TIME_LIMIT)]
         whole = time.perf_counter() - begun
-        if done.returncode != 0:
-            reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
-            return [Row(case=case, figure="failed (exit status)", ours=float(done.returncode), source=reason[:200])]
+        if ended.status != 0:
+            return [Row(case=case, figure="failed (exit status)", ours=float(ended.status), source=ended.reason)]
         with np.load(out) as found:
             cold, warm, peak = (float(found[name]) for name in ("cold", "warm", "peak"))
             timed = Timed(points=found["points"], cold=cold, warm=warm, whole=whole, peak=peak)
@@ -199,12 +197,6 @@ def timed_rows(case: str, trial: Trial, timed: Timed, *, aimed: bool) -> list[Ro
         else:
             rows.append(Row(case=case, figure=figure, ours=value, reference=reference, source=source))
     return rows
-
-
-def under(case: str, figure: str, value: float, limit: float, reference: float | None = None, source: str = "") -> Row:
-    """A row whose target is an upper limit."""
-    held = bool(value < limit)
-    return Row(case=case, figure=figure, ours=value, reference=reference, source=source, target=f"under {limit:g}", holds=held)
 
 
 def radius_rows(case: str, model: Model) -> list[Row]:

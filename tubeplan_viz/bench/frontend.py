@@ -27,8 +27,8 @@ from segmentation.volume import Volume
 from tubeplan_viz.bench.frontend_cases import MANY, ORDINARY, REAL, SMALL, CtCase, generated_chest, generated_urography, real_ct
 from tubeplan_viz.bench.frontend_surface import closed_row, surface_error_rows
 from tubeplan_viz.bench.frontend_volumes import LUNG_AT
-from tubeplan_viz.bench.frontend_worker import OURS, UNNOTICED, Trial, against, equal, installed, tried, under
-from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.bench.frontend_worker import OURS, UNNOTICED, Trial, against, equal, installed, tried
+from tubeplan_viz.bench.rows import Row, under
 from tubeplan_viz.pipeline import Notify
 
 # Growing by the least peer is a threshold and one pass in C; ours looks for the region's box first.

@@ -17,8 +17,7 @@ from segmentation.surface import SurfaceSettings, lumen_surface
 from segmentation.surface_smoothing import edges
 from segmentation.volume import Volume
 from tubeplan_viz.bench.frontend_volumes import AIR, TISSUE, BentTube, bent_tube
-from tubeplan_viz.bench.frontend_worker import under
-from tubeplan_viz.bench.rows import Row
+from tubeplan_viz.bench.rows import Row, under
 
 # Voxels of a thin-slice CT and of a coarse one, mm; the tube's radius is 3 mm.
 VOXELS = (0.7, 1.2)

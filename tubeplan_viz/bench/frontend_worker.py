@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,6 +15,7 @@ import numpy as np
 from segmentation.arrays import BoolArray
 from segmentation.errors import TubeplanError
 from tubeplan_viz.bench import frontend_methods
+from tubeplan_viz.bench.alone import run_alone
 from tubeplan_viz.bench.frontend_methods import NEEDS, OURS, WAYS
 from tubeplan_viz.bench.rows import Row
 
@@ -70,13 +70,11 @@ def tried(step: str, method: str, folder: Path, given: dict[str, Any]) -> Trial:
     with TemporaryDirectory() as place:
         out = Path(place) / "out.npz"
         command = [sys.executable, "-P", str(frontend_methods.__file__), step, method, str(folder), str(out)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
-        except subprocess.TimeoutExpired:
-            raise TubeplanError(f"{method} took more than {TIME_LIMIT:g} s for the step {step}; leave it out") from None
-        if done.returncode != 0:
-            reason = (done.stderr.strip().splitlines() or ["no message"])[-1][:200]
-            raise TubeplanError(f"{method} failed at the step {step} with exit status {done.returncode}: {reason}")
+        ended = run_alone(command, limit=TIME_LIMIT)
+        if ended.status is None:
+            raise TubeplanError(f"{method} took more than {TIME_LIMIT:g} s for the step {step}; leave it out")
+        if ended.status != 0:
+            raise TubeplanError(f"{method} failed at the step {step} with exit status {ended.status}: {ended.reason}")
         with np.load(out) as made:
             found = {name: made[name] for name in made.files}
     peak, loaded = float(found.pop("peak")), float(found.pop("loaded"))
@@ -103,14 +101,9 @@ def against(case: str, figure: str, ours: float, peers: dict[str, float], *, tim
     return [first, *rows[1:]]
 
 
-def under(case: str, figure: str, value: float, limit: float) -> Row:
-    """A row whose target is an upper limit."""
-    return Row(case=case, figure=figure, ours=value, target=f"under {limit:g}", holds=bool(value < limit))
-
-
 def equal(case: str, figure: str, value: float, wanted: float, source: str) -> Row:
     """A row whose target is a number met exactly."""
     return Row(case=case, figure=figure, ours=value, reference=wanted, source=source, target="equal", holds=value == wanted)
 
 
-__all__ = ["OURS", "UNNOTICED", "Trial", "against", "equal", "installed", "tried", "under"]
+__all__ = ["OURS", "UNNOTICED", "Trial", "against", "equal", "installed", "tried"]

@@ -31,6 +31,7 @@ SECONDS, LONG_SECONDS = 3.0, 10.0
 class Proved:
     """One path: its bounds and the processor seconds of search and proof."""
 
+    curve: SplineCurve
     clearance: float
     curvature: float
     seconds: float
@@ -113,4 +114,4 @@ def proved(problem: TubeProblem) -> Proved:
     curve: SplineCurve = deque(tube_rounds(problem), maxlen=1)[0].curve
     curvature = curvature_upper_bound(curve, limit=problem.limits.curvature_max).bound
     clearance = clearance_lower_bound(curve, problem.wall, tolerance=TOLERANCE).bound
-    return Proved(clearance=clearance, curvature=curvature, seconds=time.process_time() - begun)
+    return Proved(curve=curve, clearance=clearance, curvature=curvature, seconds=time.process_time() - begun)

@@ -15,6 +15,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import TubeplanError
+from tubeplan_viz.bench.alone import run_alone
 
 # VMTK's wheels want a newer Python than the oldest that the project runs on.
 CANDIDATES = ("python3.12", "python3.13", "python3.14")
@@ -67,15 +68,11 @@ def run_vmtk(python: str, mesh: Path, ends: FloatArray, *, runs: int) -> VmtkLin
         sites, out = Path(place) / "ends.npy", Path(place) / "out.npz"
         np.save(sites, ends)
         command = [python, "-P", str(SCRIPT), str(mesh), str(sites), str(out), str(runs)]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
-        except subprocess.TimeoutExpired:
-            raise TubeplanError(
-                f"VMTK took more than {TIME_LIMIT:g} s on {mesh.name}; leave it out or give it a smaller mesh"
-            ) from None
-        if done.returncode != 0:
-            reason = (done.stderr.strip().splitlines() or ["no message"])[-1][:200]
-            raise TubeplanError(f"VMTK failed on {mesh.name} with exit status {done.returncode}: {reason}")
+        ended = run_alone(command, limit=TIME_LIMIT)
+        if ended.status is None:
+            raise TubeplanError(f"VMTK took more than {TIME_LIMIT:g} s on {mesh.name}; leave it out or give it a smaller mesh")
+        if ended.status != 0:
+            raise TubeplanError(f"VMTK failed on {mesh.name} with exit status {ended.status}: {ended.reason}")
         with np.load(out) as found:
             lines = np.split(found["points"], np.cumsum(found["counts"])[:-1])
             return VmtkLines(lines=tuple(lines), cold=float(found["cold"]), warm=float(found["warm"]), peak=float(found["peak"]))

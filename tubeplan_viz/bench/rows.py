@@ -48,3 +48,9 @@ class Row:
         reference = "" if self.reference is None else f"{self.reference:.4g}"
         holds = {True: "yes", False: "NO", None: ""}[self.holds]
         return (self.case, self.figure, f"{self.ours:.4g}", reference, self.source, ratio, self.target, holds)
+
+
+def under(case: str, figure: str, value: float, limit: float, reference: float | None = None, source: str = "") -> Row:
+    """A row whose target is an upper limit."""
+    held = bool(value < limit)
+    return Row(case=case, figure=figure, ours=value, reference=reference, source=source, target=f"under {limit:g}", holds=held)

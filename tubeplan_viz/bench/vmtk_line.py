@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,15 +23,16 @@ from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.bench.anatomies import anatomies
 from tubeplan_viz.bench.centerline_methods import delaunay_chains
+from tubeplan_viz.bench.optimal_anatomies import proved
 from tubeplan_viz.bench.peers import VMTK_RUNS_ON, run_vmtk, vmtk_python
 from tubeplan_viz.bench.rows import Row
 from tubeplan_viz.bench.trees import TreeModel, airway_tree, renal_tree
 from tubeplan_viz.centerline import trace_centerline, voronoi_graph
-from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.pipeline import Notify
 from tubeplan_viz.plan import Limits
-from tubeplan_viz.tube import OptimalSettings, TubeProblem, TubeSettings, optimise, tube_rounds
-from tubeplan_viz.tube.optimal import CLEARANCE_TOLERANCE, passage_of
+from tubeplan_viz.tube import OptimalSettings, TubeProblem, TubeSettings, optimise
+from tubeplan_viz.tube.optimal import passage_of
 
 CURVATURE_MAX = 0.125
 # Root mean square distance, mm, that the smoothing spline may leave its line by.
@@ -184,18 +184,17 @@ def target_rows(case: str, problem: TubeProblem, peer: Peer, source: str) -> lis
 def refinement(problem: TubeProblem) -> tuple[float, float, float]:
     """Least clearance, mm, proved; mean clearance, mm, and curvature bound, 1/mm, of the refinement's first phase."""
     passage = passage_of(problem.wall, problem.centerline, problem.limits)
-    proved = next((proposal for proposal in optimise(passage, OptimalSettings()) if proposal.clearance is not None), None)
-    if proved is None or proved.clearance is None:
+    first = next((proposal for proposal in optimise(passage, OptimalSettings()) if proposal.clearance is not None), None)
+    if first is None or first.clearance is None:
         raise TubeplanError("the search ended without a proof, expected one")
-    return proved.clearance.bound, proved.mean, proved.curvature
+    return first.clearance.bound, first.mean, first.curvature
 
 
 def whole_method(problem: TubeProblem) -> tuple[float, float, float]:
     """The same of the method's last path, with all that it tries where the refinement alone keeps no curvature limit."""
-    curve = deque(tube_rounds(problem), maxlen=1)[0].curve
-    mean = float(problem.wall.clearance(curve(curve.uniform_parameters(SAMPLE_STEP))).mean())
-    curvature = curvature_upper_bound(curve, limit=problem.limits.curvature_max).bound
-    return clearance_lower_bound(curve, problem.wall, tolerance=CLEARANCE_TOLERANCE).bound, mean, curvature
+    best = proved(problem)
+    mean = float(problem.wall.clearance(best.curve(best.curve.uniform_parameters(SAMPLE_STEP))).mean())
+    return best.clearance, mean, best.curvature
 
 
 def peer_lines(tree: Ways, wall: WallDistance) -> tuple[list[FloatArray], str]:
