@@ -38,7 +38,7 @@ def derived_values(result: Mapping[str, Any]) -> dict[str, float]:
     Parameters
     ----------
     result : mapping
-        The content of result.json (spec 0.4); lengths in mm, curvatures in 1/mm.
+        The content of result.json; lengths in mm, curvatures in 1/mm.
 
     Returns
     -------

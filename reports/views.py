@@ -90,7 +90,7 @@ def make_page(review: Review) -> Page:
     Raises
     ------
     KeyError
-        If the result lacks a key that spec 0.4 makes mandatory; optional ones may be absent or null.
+        If the result lacks a key that its schema makes mandatory; optional ones may be absent or null.
     """
     result = review.result
     source = Source(result, derived_values(result))
@@ -231,7 +231,7 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _features_line(source: Source) -> str:
-    """How many points of each kind carry the spline, and which scans looked for them (spec 1.4)."""
+    """How many points of each kind carry the spline, and which scans looked for them."""
     kinds = [str(feature["kind"]) for feature in source.result.get("feature_points") or []]
     found = [
         f"{KINDS.get(kind, kind).lower()} ({kinds.count(kind)})" for kind in dict.fromkeys(kinds) if kind not in ("start", "goal")

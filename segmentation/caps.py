@@ -60,7 +60,7 @@ def mark_flat_ends(surface: Surface, points: ArrayLike, *, tolerance: float = 0.
         Start and goal. An end is marked when the point lies within 1 mm of the disc, or
         when the disc closes the tube before it, within four of the disc's radii along its normal.
     tolerance : float, mm
-        Greatest distance of a cap's vertices from its plane (spec 1.8b: 0.05).
+        Greatest distance of a cap's vertices from its plane: within it the end counts as flat.
 
     Returns
     -------

@@ -24,7 +24,7 @@ class NoPathError(TubeplanError):
 
 
 class PlanStatus(StrEnum):
-    """How a planning run ended (spec 0.4)."""
+    """How a planning run ended; the values are those of result.json."""
 
     OK = "ok"
     FLAGGED = "flagged"
@@ -39,7 +39,7 @@ class FlagKind(StrEnum):
 
 
 class FeatureKind(StrEnum):
-    """Why a point carries the spline (spec 1.3, 1.4, 1.6)."""
+    """Why a point carries the spline: an end, a scan of the centerline, or a round's repair."""
 
     START = "start"
     GOAL = "goal"
@@ -171,7 +171,7 @@ class Certificate:
 class Plan:
     """The end of a planning run, with the best path found even when a limit is broken.
 
-    `metrics` and `details` use the names of result.json (spec 0.4).
+    `metrics` and `details` use the names of result.json.
     """
 
     planner: str

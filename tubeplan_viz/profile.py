@@ -12,7 +12,7 @@ from tubeplan_viz.centerline import Centerline, even_points
 from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
 from tubeplan_viz.plan import Certificate, FlaggedInterval, FlagKind, Limits, PathProfile
 
-# Spec 0.4 asks for at most 0.25 mm in result.json; flagged stretches are found on a finer grid.
+# result.json promises at most 0.25 mm; flagged stretches are found on a finer grid.
 PROFILE_SPACING = 0.25
 FLAG_SPACING = 0.05
 
@@ -132,7 +132,7 @@ def certify(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Certifica
 
 
 def path_metrics(profile: PathProfile, centerline: Centerline) -> dict[str, float]:
-    """The metrics of spec 0.4 that any curved path has."""
+    """The metrics of result.json that any curved path has."""
     dense = even_points(centerline.points, 0.05)
     return {
         "length_mm": profile.length,

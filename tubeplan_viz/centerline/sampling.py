@@ -28,7 +28,7 @@ def wall_samples(surface: Surface, spacing: float) -> FloatArray:
     """Wall vertices, and more points on faces whose edges are longer than `spacing`, (k, 3) mm.
 
     Coarse meshes have faces longer than the tube is wide; their vertices alone do
-    not describe the wall. Caps are left out: they are not wall (spec 1.8b), and
+    not describe the wall. Caps are left out: an instrument passes through them, and
     their rim belongs to the wall anyway.
     """
     return oriented_samples(surface, spacing)[0]

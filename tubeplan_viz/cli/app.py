@@ -1,4 +1,4 @@
-"""The command tree, and how a command's end becomes an exit status (spec 0.2)."""
+"""The command tree, and how a command's end becomes an exit status."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def command_tree() -> TyperGroup:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the status of spec 0.2."""
+    """Run the command line and exit with the status that the README lists."""
     sys.exit(status_of(arguments))
 
 

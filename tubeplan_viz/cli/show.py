@@ -67,7 +67,7 @@ def lines() -> Iterator[Notify]:
 
 
 def plan_and_exit(case: Any, outputs: Outputs, *, light: bool = False) -> NoReturn:
-    """Plan a case of any planner, print how it ended and exit with the status of spec 0.2."""
+    """Plan a case of any planner, print how it ended and exit with the status that the README lists."""
     with progress(outputs.quiet) as notify:
         result = run_case(case, outputs.output, outputs.run_options(notify, light=light))
     raise typer.Exit(report_plan(result, outputs.output, as_json=outputs.json))

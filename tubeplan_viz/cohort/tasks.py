@@ -9,7 +9,7 @@ from typing import Any
 
 
 class CaseStatus(StrEnum):
-    """How one case of a cohort ended; the first three are those of a run (spec 0.4)."""
+    """How one case of a cohort ended; the first three are those of a run's result.json."""
 
     OK = "ok"
     FLAGGED = "flagged"

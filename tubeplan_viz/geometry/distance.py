@@ -20,7 +20,7 @@ ON_SURFACE = 1e-6
 class WallDistance:
     """Distance queries against one surface, its search trees built once.
 
-    The wall is the surface without its end caps (spec 1.8b) unless `closed_ends`
+    The wall is the surface without its end caps, which an instrument passes, unless `closed_ends`
     is set; inside-ness always refers to the closed surface. Distances to triangles
     are exact (libigl's AABB tree); inside-ness uses its fast winding number.
 

@@ -24,7 +24,7 @@ from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.pipeline.needle_ground import Ground, space
 from tubeplan_viz.result import CSV_COLUMNS
 
-SPACING = 0.2  # mm; spec 0.4 asks for at most 0.25
+SPACING = 0.2  # mm; result.json promises at most 0.25
 DRAWN_SPACING = 2.0  # of the paths of forms, of the front and of insertions, which are drawn only
 ROUNDS_KEPT = 150
 CLOUDS_KEPT, CLOUD_PATHS = 4, 12

@@ -31,7 +31,7 @@ from tubeplan_viz.rigid import (
 from tubeplan_viz.rigid.instrument import unit
 from tubeplan_viz.rigid.judge import between
 
-SPACING = 0.2  # mm; spec 0.4 asks for at most 0.25
+SPACING = 0.2  # mm; result.json promises at most 0.25
 TURN_STEP = np.radians(1.0)
 PROOF_STEPS = 6
 FREE = "free"

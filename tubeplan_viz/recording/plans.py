@@ -201,7 +201,7 @@ def worst_label(flag: FlaggedInterval) -> str:
 
 
 def result_track(path: Mapping[str, Any]) -> Track:
-    """The planned path of result.json (spec 0.4) as samples."""
+    """The planned path of result.json as samples."""
     return Track(
         arc_length=np.asarray(path["s_mm"], dtype=float),
         points=np.asarray(path["points_mm"], dtype=float),

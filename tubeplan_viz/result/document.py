@@ -1,4 +1,4 @@
-"""From a plan to the content of result.json (spec 0.4), and that content to text."""
+"""From a plan to the content of result.json, and that content to text."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def build_result(
     provenance: Provenance,
     details: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The content of result.json as plain JSON values, in the order of spec 0.4.
+    """The content of result.json as plain JSON values, in the order of its schema.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def assemble_result(content: Mapping[str, Any], *, timings_s: Mapping[str, float
     Parameters
     ----------
     content : mapping
-        Keys of spec 0.4 from ``status`` to ``details``; those left out that do not apply become null (or an empty list).
+        Keys of result.json from ``status`` to ``details``; those left out that do not apply become null (or an empty list).
     timings_s : mapping of stage to seconds
     provenance : Provenance
 

@@ -4,7 +4,7 @@ from segmentation.errors import TubeplanError
 
 
 class ResultError(TubeplanError):
-    """A result that is not what result.json promises (spec 0.4)."""
+    """A result that does not hold to the schema of result.json."""
 
 
 class RunFolderError(TubeplanError):

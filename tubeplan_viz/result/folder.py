@@ -25,7 +25,7 @@ from tubeplan_viz.result.errors import RunFolderError
 from tubeplan_viz.result.schema import validate_result
 
 RESULT = "result.json"
-# Spec 0.3; a folder that holds anything else is never replaced.
+# What a run leaves (README); a folder that holds anything else is never replaced.
 FILES = (
     RESULT,
     "case.toml",

@@ -21,7 +21,7 @@ class Review:
     case_id : str
         The case's own name; never a patient's.
     result : mapping
-        The content of result.json (spec 0.4), complete.
+        The content of result.json, complete.
     surface : Surface or None
     volume : Volume or None
         The CT, when the case came from one.

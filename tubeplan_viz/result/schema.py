@@ -14,7 +14,7 @@ from jsonschema import Draft202012Validator
 from segmentation.errors import TubeplanError
 from tubeplan_viz.result.errors import ResultError
 
-PATH_SPACING_MAX_MM = 0.25  # spec 0.4
+PATH_SPACING_MAX_MM = 0.25  # promised to readers of result.json; a JSON Schema cannot say it
 SPACING_ROUNDING_MM = 1e-9  # s_mm are differences of numbers near 1e3 mm
 
 

@@ -83,7 +83,7 @@ def local_mean(c: FloatArray, i: int, reach: int) -> float:
     """Mean curvature over i - J .. i + J.
 
     The print has 1/J before a sum of 2J + 1 terms (eq. 5); with that factor eq. 13
-    cannot hold at T4 = 3, so the arithmetic mean is taken (spec 1.3).
+    cannot hold at T4 = 3, so the arithmetic mean is taken.
     """
     return float(c[max(i - reach, 0) : i + reach + 1].mean())
 
@@ -126,7 +126,7 @@ def bend_ends(c: FloatArray, settings: FeatureSettings) -> list[int]:
 def inflections(c: FloatArray, features: dict[int, FeatureKind], settings: FeatureSettings) -> list[int]:
     """Least curved point between neighbours that are both extrema or both segment points (eq. 12-14).
 
-    Eq. 12 prints the maximum, with which eq. 13-14 cannot hold; the minimum is meant (spec 1.4).
+    Eq. 12 prints the maximum, with which eq. 13-14 cannot hold; the minimum is meant.
     """
     order, reach, found = sorted(features), settings.neighbourhood, []
     for a, b in pairwise(order):
@@ -144,7 +144,7 @@ def wide_range_nodes(c: FloatArray, features: dict[int, FeatureKind], settings: 
     """Nodes in long stretches without a feature (eq. 15): the most curved point of each equal part.
 
     Three features in a row that are all extrema or all not, and span more than T5 points,
-    take floor((I1 + I2 - T5) / T6) nodes; a bare start-goal pair counts as such a span (spec 1.4).
+    take floor((I1 + I2 - T5) / T6) nodes; a bare start-goal pair counts as such a span.
     """
     order = sorted(features)
     spans = (

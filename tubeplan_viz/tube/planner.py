@@ -204,7 +204,7 @@ def excess(step: PlanStep, limits: Limits) -> float:
 
 
 def conclude(problem: TubeProblem, steps: Sequence[PlanStep]) -> Plan:
-    """Verify the last round over the full interval (spec 1.8), prove it between the samples, and say how it ended."""
+    """Verify the last round over the full interval, prove it between the samples, and say how it ended."""
     last = steps[-1]
     limits = problem.limits
     fine = measure_closely(last.curve, problem.wall, limits)

@@ -50,7 +50,7 @@ def verify_run(folder: Path) -> Verification:
     Parameters
     ----------
     folder : Path
-        A run folder (spec 0.3).
+        A run folder, whole.
 
     Returns
     -------

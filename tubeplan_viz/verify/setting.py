@@ -16,7 +16,7 @@ UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0
 SIZE_MM = (2.0, 3000.0)
 BOX_MARGIN_MM = 1.0  # a path may begin a little outside a cap
 END_MM = 1e-6  # the path's ends are the points asked for, not points near them
-FLAT_MM = 0.05 + 1e-6  # spec 1.8b
+FLAT_MM = 0.05 + 1e-6  # a flat end's vertices lie within 0.05 mm of its plane; rounding of the file's coordinates
 AREA = 1e-6  # relative: the same double-precision sum in another order
 
 

@@ -156,7 +156,7 @@ def test_the_tree_is_of_human_size(scan):
 @pytest.mark.parametrize("goal", ["upper 1", "upper 2", "middle 1"])
 def test_axes_to_the_upper_and_middle_calyces_suit_a_ureteroscope(scan, goal):
     route = dict(scan.truth.routes)[goal]
-    assert scan.truth.clearance(route).min() > 1.2  # mm, its radius (spec 1.9)
+    assert scan.truth.clearance(route).min() > 1.2  # mm, its radius
     assert bend(route[::2]).max() < 0.125  # 1/mm, bend radius 8 mm
     np.testing.assert_array_equal(route[0], scan.truth.start)
     np.testing.assert_array_equal(route[-1], scan.truth.goal(goal))

@@ -50,7 +50,7 @@ def test_the_optimal_path_beats_the_smoothed_line_at_its_own_curvature() -> None
         "cylinder 1", replace(problem, limits=limits_of(replace(peer, least=-1.0))), replace(peer, least=-1.0), "test"
     )
     assert least.holds
-    # At 0.125 1/mm there is at least the room of spec 1.12 at 0.100, and no more than the tube's radius.
+    # At 0.125 1/mm there is at least the room that 30 control points find at 0.100, and no more than the tube's radius.
     assert 0.99 * 2.998 <= least.ours <= 3.0
 
 

@@ -19,7 +19,7 @@ from jsonschema import Draft202012Validator
 from tubeplan_viz.plan import FlagKind, Limits, Plan, PlanStatus
 from tubeplan_viz.result import Provenance, ResultError, build_result, plain, result_schema, result_text, validate_result
 
-SPEC_KEYS = [  # spec 0.4, in its order
+SPEC_KEYS = [  # in the order that programs and readers find them in
     "schema_version",
     "status",
     "reason",
