@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
+from tubeplan_viz.centerline import Branch, Centerline
 from tubeplan_viz.measures.lines import Lumen, angle_between, place
 from tubeplan_viz.measures.measure import Drawing, Measure, lacking
 
@@ -81,8 +81,3 @@ def heading(branch: Branch) -> np.ndarray:
     begin = min(float(branch.line.radii[0]), length / 3.0)
     end = min(max(begin + 2.0 * radius, 2.0 * length / 3.0), length)
     return place(branch.line, end) - place(branch.line, begin)
-
-
-def reached_generation(tree: CenterlineTree, target: int) -> int:
-    """Generation of the branch in which a target lies."""
-    return tree.branches[int(tree.last_branch[target])].generation

@@ -34,7 +34,6 @@ from tubeplan_viz.rigid.judge import between
 SPACING = 0.2  # mm; result.json promises at most 0.25
 TURN_STEP = np.radians(1.0)
 PROOF_STEPS = 6
-FREE = "free"
 
 
 def rigid_content(

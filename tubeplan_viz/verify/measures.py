@@ -23,9 +23,9 @@ from tubeplan_viz.verify.verification import Check
 LIMITS = {"°": 3.0, "length": 1.0, "width": 0.8, "ball": 1.0}  # degrees, mm
 SHARE = 0.002  # of a path's own measures, which need no image
 PELVIS_SHARE = 0.85
-# A calyx's bottom lies on the CT's edge: at the mesh, or before it where noise has filled a papilla.
-WALL_MM, FILLED_MM = 1.6, 4.5
-PARTED_MM = 0.5
+# A calyx's bottom lies on the CT's edge, which partial volume sets off the mesh by about a voxel's diagonal at most.
+WALL_MM = 1.6
+PARTED_MM = 0.5  # where two calyces' ways part, within the mesh's own error
 EDGE_MM = (-0.6, 4.0)  # a diameter's share of two edges of up to 2 mm
 CORONAL = np.array([1.0, 0.0, 1.0])
 Items = Mapping[tuple[str, str], float]

@@ -72,12 +72,6 @@ def along_lines(points: FloatArray, corners: FloatArray, *, closed: bool) -> Flo
     return best
 
 
-def in_plane(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Signed distance of (k, 2) points to a polygon."""
-    gap = along_lines(points, corners, closed=True)
-    return np.where(wound(points, corners), -gap, gap)
-
-
 def wound(points: FloatArray, corners: FloatArray) -> Any:
     """Whether a polygon goes round points: its corners' directions turn by a whole number of turns that is not 0."""
     way = np.arctan2(corners[:, 1] - points[:, 1:2], corners[:, 0] - points[:, 0:1])
