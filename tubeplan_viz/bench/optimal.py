@@ -1,7 +1,7 @@
 """tubeplan bench optimal: the best path with proof against the limits of the plane problem."""
 
 # Strategy: the bent cylinders of Dai et al. (2024) with the largest least clearance that a planar
-# computation with 30 control points found in the plane. Seeds move the line that the method
+# computation with 30 control points found. Seeds move the line that the method
 # begins from by 0.2 mm of noise. Times are taken warm: the first run of a model is not counted.
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def test_bound_of_two_bends_lies_above_the_planar_optimum_and_below_what_the_end
     problem = pose_problem(model.surface, model.start, model.goal, Limits(curvature_max=0.1, clearance_min=2.7), TubeSettings())
     found = bend_bound(problem.wall, problem.centerline, curvature=0.1, ceiling=3.0, limit=2.7)
     assert found is not None
-    # The planar optimum, computed once with 30 control points, is 2.585; three cross-sections see one of both bends, and 2.7 is excluded all the same.
+    # The planar optimum (30 control points) is 2.585; three cross-sections see one of both bends and exclude 2.7 all the same.
     assert 2.585 <= found.bound <= 2.7
 
 
