@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from segmentation.errors import TubeplanError
+from segmentation.faults import fault_words
 from tubeplan_viz import __version__
 from tubeplan_viz.cli.late import PLAIN, add_late
 
@@ -112,14 +113,8 @@ def status_of(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except TubeplanError as fault:
         return told(fault)
-    except Exception as fault:
-        import traceback
-
-        frame = traceback.extract_tb(fault.__traceback__)[-1]
-        complain(
-            f"a fault of the program, please report it: {type(fault).__name__}: {fault} "
-            f"(in {frame.name}, line {frame.lineno} of {frame.filename.rsplit('/', 1)[-1]})"
-        )
+    except Exception as fault:  # the outermost place: whatever it is, one sentence and status 1
+        complain(fault_words(fault))
         return FAULT
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import traceback
 
 QUOTED = re.compile(r"""(?<=['"])(?:~|[A-Za-z]:)?/(?:[^'"/]+/)+""")  # may hold spaces
 ABSOLUTE = re.compile(r"(?<![\w.~/])(?:~|[A-Za-z]:)?/(?:[^\s/'\",:;()]+/)+")
@@ -21,13 +20,6 @@ def without_paths(text: str) -> str:
     """
     short = ABSOLUTE.sub("", QUOTED.sub("", text))
     return short if len(short) <= LONGEST else f"{short[: LONGEST - 4]} ..."
-
-
-def fault_words(fault: BaseException) -> str:
-    """A fault of the program in one sentence: kind, message, function and line."""
-    frame = traceback.extract_tb(fault.__traceback__)[-1]
-    place = f"in {frame.name}, line {frame.lineno} of {frame.filename.rsplit('/', 1)[-1]}"
-    return without_paths(f"a fault of the program, please report it: {type(fault).__name__}: {fault} ({place})")
 
 
 def kind_of_reason(text: str) -> str:

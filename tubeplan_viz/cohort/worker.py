@@ -23,10 +23,11 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from segmentation.errors import TubeplanError
+from segmentation.faults import fault_words
 from tubeplan_viz import __version__
 from tubeplan_viz.cohort.state import sweep
 from tubeplan_viz.cohort.tasks import CaseStatus, Task
-from tubeplan_viz.cohort.words import fault_words, without_paths
+from tubeplan_viz.cohort.words import without_paths
 from tubeplan_viz.memory import megabytes
 from tubeplan_viz.pipeline import RunOptions
 from tubeplan_viz.plan import NoPathError
@@ -168,7 +169,7 @@ def _planned(task: Task, target: Path, options: RunOptions) -> dict[str, Any]:
     except TubeplanError as fault:
         return {"status": CaseStatus.BAD_INPUT, "reason": without_paths(str(fault))}
     except Exception as fault:  # a fault of the program costs this case and not the night's work; the row says where it was
-        return {"status": CaseStatus.FAULT, "reason": fault_words(fault)}
+        return {"status": CaseStatus.FAULT, "reason": without_paths(fault_words(fault))}
     return {"status": result["status"], "reason": result["reason"]}
 
 
@@ -179,6 +180,6 @@ def _verified(target: Path) -> dict[str, Any]:
         failed = [{"name": "run folder", "sentence": without_paths(str(fault))}]
         return {"verification": {"holds": False, "checks": 1, "failed": failed}}
     except Exception as fault:  # as above
-        return {"status": CaseStatus.FAULT, "reason": f"verify: {fault_words(fault)}"}
+        return {"status": CaseStatus.FAULT, "reason": without_paths(f"verify: {fault_words(fault)}")}
     failed = [{"name": check.name, "sentence": without_paths(check.sentence)} for check in found.faults]
     return {"verification": {"holds": found.holds, "checks": len(found.checks), "failed": failed}}
