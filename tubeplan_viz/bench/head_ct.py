@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from segmentation.errors import SeriesError
 from segmentation.volume import Volume
 
 CRANIUM = Path("/usr/share/doc/invesalius-examples/examples/Cranium.inv3")
@@ -36,7 +37,8 @@ def read_head_ct() -> Volume:
 
         head = plistlib.loads(read("main.plist"))
         matrix = head["matrix"]
-        assert head["orientation"] == 1, "not axial"
+        if head["orientation"] != 1:
+            raise SeriesError(f"{CRANIUM.name}: orientation {head['orientation']}, expected 1, axial slices")
         stored = np.frombuffer(read(matrix["filename"]), matrix["dtype"]).reshape(matrix["shape"])
     index_to_lps = np.eye(4)
     # [slice, row, column] run along z, y, x once the rows are put back into their DICOM order, front to back.
