@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -105,6 +105,15 @@ def numbers_shown() -> ModuleType:
 def slicer_schema() -> dict[str, Any]:
     """The schema of tests/slicer_markups.py."""
     return dict(_helper("slicer_markups").MARKUPS)
+
+
+@pytest.fixture(scope="session")
+def needle_past_a_circle() -> Callable[[float, float], str]:
+    """Case file of a needle in the plane whose target lies 90 mm ahead, and a circle (center ahead, radius, mm) in its way."""
+    return lambda ahead, radius: (
+        '[planner]\nname = "needle2d"\n[needle2d]\ntarget = [0, 90]\ndegree_max = 2\n'
+        f'[[obstacles]]\nkind = "circle"\ncenter = [0, {ahead:g}]\nradius_mm = {radius:g}\n'
+    )
 
 
 @pytest.fixture(scope="session")

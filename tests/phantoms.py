@@ -38,6 +38,7 @@ __all__ = [
     "stl_text",
     "straight_tube",
     "torus_piece",
+    "twice",
     "unlabelled",
     "variant_1",
     "variant_2",
@@ -49,6 +50,17 @@ __all__ = [
 def unlabelled(surface: Surface) -> Surface:
     """The same mesh with every face wall and no caps."""
     return Surface(surface.vertices, surface.faces, np.full(len(surface.faces), -1), (), surface.frame)
+
+
+def twice(surface: Surface, shift: FloatArray) -> Surface:
+    """A surface and the same beside it, moved by (3,) mm: two parts that nothing joins."""
+    return Surface(
+        np.concatenate([surface.vertices, surface.vertices + shift]),
+        np.concatenate([surface.faces, surface.faces + len(surface.vertices)]),
+        np.concatenate([surface.face_cap, surface.face_cap]),
+        surface.caps,
+        surface.frame,
+    )
 
 
 def open_tube(model: Model, *, ends: tuple[int, ...] = (0, 1)) -> tuple[FloatArray, IntArray]:

@@ -12,16 +12,7 @@ import pytest
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.bench.models import narrow_neck, variant_2
 
-FLAT = """[planner]
-name = "needle2d"
-[needle2d]
-target = [0, 90]
-degree_max = 2
-[[obstacles]]
-kind = "circle"
-center = [0, 40]
-radius_mm = 10
-"""
+Needle = Callable[[float, float], str]
 COHORT = """[defaults.limits]
 curvature_max = 0.125
 
@@ -68,15 +59,15 @@ STATUS = {"neck": "flagged", "flat": "ok", "none": "infeasible", "space": "ok", 
 
 
 @pytest.fixture
-def cohort_files(tmp_path: Path) -> Path:
+def cohort_files(tmp_path: Path, needle_past_a_circle: Needle) -> Path:
     """A folder with the manifest cohort.toml and what it names; for what plans nothing, so that no mesh is one."""
-    return write_files(tmp_path, mesh=False)
+    return write_files(tmp_path, needle_past_a_circle, mesh=False)
 
 
 @pytest.fixture(scope="session")
-def make_cohort() -> Callable[[Path], Path]:
+def make_cohort(needle_past_a_circle: Needle) -> Callable[[Path], Path]:
     """Writes the same with the real meshes into a folder."""
-    return lambda folder: write_files(folder, mesh=True)
+    return lambda folder: write_files(folder, needle_past_a_circle, mesh=True)
 
 
 @pytest.fixture(scope="session")
@@ -85,11 +76,11 @@ def expected_status() -> dict[str, str]:
     return STATUS
 
 
-def write_files(folder: Path, *, mesh: bool) -> Path:
+def write_files(folder: Path, needle: Needle, *, mesh: bool) -> Path:
     (folder / "meshes").mkdir(parents=True)
     (folder / "files").mkdir()
     (folder / "cohort.toml").write_text(COHORT, encoding="utf-8")
-    (folder / "files" / "flat.toml").write_text(FLAT, encoding="utf-8")
+    (folder / "files" / "flat.toml").write_text(needle(40.0, 10.0), encoding="utf-8")
     neck = folder / "meshes" / "neck.ply"
     if mesh:
         write_ply(narrow_neck().surface, neck)

@@ -44,16 +44,6 @@ RUNS: dict[str, tuple[list[str], int]] = {
     "instruments": (["matrix", "--mesh", "neck.ply", "--start", "E1", "--catalogue", "catalogue.toml", "--goals", "all"], 3),
 }
 CASES = {
-    "needle2d.toml": """[planner]
-name = "needle2d"
-[needle2d]
-target = [0, 90]
-degree_max = 2
-[[obstacles]]
-kind = "circle"
-center = [0, 40]
-radius_mm = 10
-""",
     "needle3d.toml": """[planner]
 name = "needle3d"
 [needle3d]
@@ -63,16 +53,6 @@ safety_mm = 1.0
 kind = "sphere"
 center = [0, 5, 40]
 radius_mm = 5
-""",
-    "needle-none.toml": """[planner]
-name = "needle2d"
-[needle2d]
-target = [0, 90]
-degree_max = 2
-[[obstacles]]
-kind = "circle"
-center = [0, 50]
-radius_mm = 39
 """,
     "catalogue.toml": """[[instrument]]
 name = "thin"
@@ -92,10 +72,11 @@ OWN_COLUMNS = {"tx", "ty", "tz", "torsion_per_mm", "step"}
 
 
 @pytest.fixture(scope="session")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def made(tmp_path_factory: pytest.TempPathFactory, needle_past_a_circle: Callable[[float, float], str]) -> Callable[[str], Path]:
     """Makes a run when it is first asked for; small cases on generated anatomy."""
     folder = tmp_path_factory.mktemp("every")
-    for name, text in CASES.items():
+    needles = {"needle2d.toml": needle_past_a_circle(40.0, 10.0), "needle-none.toml": needle_past_a_circle(50.0, 39.0)}
+    for name, text in {**CASES, **needles}.items():
         (folder / name).write_text(text, encoding="utf-8")
     write_ply(narrow_neck().surface, folder / "neck.ply")
     write_ply(weibel_airway(generations=3, voxel=1.0).surface, folder / "airway.ply")

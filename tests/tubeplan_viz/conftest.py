@@ -19,6 +19,7 @@ from segmentation.mesh import Cap, Surface
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import SplineCurve, WallDistance
+from tubeplan_viz.pipeline.tube import surface_details
 from tubeplan_viz.plan import Feature, FeatureKind, Limits, Plan, PlanStatus, PlanStep
 from tubeplan_viz.profile import certify, flag_stretches, measure_path, path_metrics
 from tubeplan_viz.result import Provenance, RunFolder, build_result, path_csv, slicer_markups
@@ -124,27 +125,6 @@ def bent_tube() -> BentTube:
     curve = SplineCurve(3, np.asarray(spline.t), np.asarray(spline.c))
     line = axis(np.linspace(0.0, LENGTH, 48))[0]
     return BentTube(swept(), curve, Centerline(points=line, radii=np.full(len(line), RADIUS)))
-
-
-def surface_details(surface: Surface) -> dict[str, Any]:
-    """details.surface as the pipeline writes it."""
-    first = len(surface.wall_faces)
-    caps = []
-    for index, cap in enumerate(surface.caps):
-        faces = surface.face_cap == index
-        caps.append(
-            {
-                "label": cap.label,
-                "origin": cap.origin,
-                "center_mm": cap.center,
-                "normal": cap.normal,
-                "area_mm2": cap.area,
-                "first_face": first,
-                "faces": int(faces.sum()),
-            }
-        )
-        first += int(faces.sum())
-    return {"wall_faces": len(surface.wall_faces), "faces": len(surface.faces), "caps": caps}
 
 
 def page_of(result: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -114,19 +115,12 @@ def test_a_rigid_motion_moves_the_line_along(prepared: Prepare) -> None:
     np.testing.assert_allclose(line.points, move(still.points), atol=0.02)
 
 
-def test_two_components_are_not_joined(prepared: Prepare) -> None:
+def test_two_components_are_not_joined(prepared: Prepare, phantoms: ModuleType) -> None:
     case = prepared("straight")
-    surface = case.model.surface
     far = np.array([30.0, 0.0, 0.0])
-    twice = Surface(
-        np.concatenate([surface.vertices, surface.vertices + far]),
-        np.concatenate([surface.faces, surface.faces + len(surface.vertices)]),
-        np.concatenate([surface.face_cap, surface.face_cap]),
-        surface.caps,
-        surface.frame,
-    )
-    wall = WallDistance(twice)
-    graph = voronoi_graph(twice, wall)
+    surface = phantoms.twice(case.model.surface, far)
+    wall = WallDistance(surface)
+    graph = voronoi_graph(surface, wall)
     assert trace_centerline(graph, wall, case.model.start, case.model.goal + far) is None
     assert trace_centerline(graph, wall, case.model.start, case.model.goal) is not None
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
-from segmentation.mesh import Surface
 from segmentation.mesh_files import read_surface
 from tubeplan_viz.bench.trees import TreeModel, airway_tree, renal_tree
 from tubeplan_viz.centerline import CenterlineTree, centerline_tree, trace_centerline, voronoi_graph
@@ -100,18 +100,12 @@ def test_one_target_gives_the_traced_line(prepared: Prepare) -> None:
     np.testing.assert_allclose(path.points, line.points, atol=1e-9)
 
 
-def test_a_target_in_another_part_is_not_reached(prepared: Prepare) -> None:
+def test_a_target_in_another_part_is_not_reached(prepared: Prepare, phantoms: ModuleType) -> None:
     case = prepared("straight")
-    surface, far = case.model.surface, np.array([30.0, 0.0, 0.0])
-    twice = Surface(
-        np.concatenate([surface.vertices, surface.vertices + far]),
-        np.concatenate([surface.faces, surface.faces + len(surface.vertices)]),
-        np.concatenate([surface.face_cap, surface.face_cap]),
-        surface.caps,
-        surface.frame,
-    )
-    wall = WallDistance(twice)
-    tree = centerline_tree(voronoi_graph(twice, wall), wall, case.model.start, [case.model.goal + far, case.model.goal])
+    far = np.array([30.0, 0.0, 0.0])
+    surface = phantoms.twice(case.model.surface, far)
+    wall = WallDistance(surface)
+    tree = centerline_tree(voronoi_graph(surface, wall), wall, case.model.start, [case.model.goal + far, case.model.goal])
     assert tree.last_branch.tolist() == [-1, 0]
     assert tree.path(0) is None
     assert tree.path(1) is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -188,9 +189,7 @@ def test_a_run_has_all_its_files_and_is_verified(whole_run: Path, tubeplan: Call
 
 def test_verify_ends_with_3_when_a_number_was_edited(whole_run: Path, tubeplan: Call, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
-    copy.mkdir()
-    for entry in whole_run.iterdir():
-        (copy / entry.name).write_bytes(entry.read_bytes())
+    shutil.copytree(whole_run, copy)
     result = json.loads((copy / "result.json").read_text())
     result["metrics"]["clearance_min_mm"] += 0.1
     (copy / "result.json").write_text(json.dumps(result))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -92,37 +94,23 @@ def test_the_report_needs_no_network_and_no_script(flat: Path, pushed: Path) -> 
     assert "the target has moved" in (pushed / "report.html").read_text(encoding="utf-8")
 
 
-def edited(folder: Path, tmp_path: Path, change: Any) -> list[str]:
-    """Names of the checks that find a planted fault in result.json."""
-    copy = tmp_path / "copy"
-    copy.mkdir()
-    for entry in folder.iterdir():
-        (copy / entry.name).write_bytes(entry.read_bytes())
-    document = result_of(folder)
-    change(document)
-    (copy / "result.json").write_text(json.dumps(document), encoding="utf-8")
-    return [check.name for check in verify_run(copy).faults]
-
-
-def test_the_verifier_finds_a_push_that_is_too_long(flat: Path, tmp_path: Path) -> None:
+def test_the_verifier_finds_a_push_that_is_too_long(flat: Path, found_in: Callable[..., set[str]]) -> None:
     def change(document: dict[str, Any]) -> None:
         document["details"]["controls"][0]["length_mm"] += 0.01
 
-    assert {"tip: on the target", "path: from the controls"} <= set(edited(flat, tmp_path, change))
+    assert {"tip: on the target", "path: from the controls"} <= found_in(flat, change)
 
 
-def test_the_verifier_finds_two_percent_too_much_bend(pushed: Path, tmp_path: Path) -> None:
+def test_the_verifier_finds_two_percent_too_much_bend(pushed: Path, found_in: Callable[..., set[str]]) -> None:
     def change(document: dict[str, Any]) -> None:
         document["details"]["controls"][1]["curvature_per_mm"] *= 1.02
 
-    assert {"curvature", "tip: on the target"} <= set(edited(pushed, tmp_path, change))
+    assert {"curvature", "tip: on the target"} <= found_in(pushed, change)
 
 
 def test_the_verifier_finds_an_obstacle_that_is_too_near(flat: Path, tmp_path: Path) -> None:
     copy = tmp_path / "near"
-    copy.mkdir()
-    for entry in flat.iterdir():
-        (copy / entry.name).write_bytes(entry.read_bytes())
+    shutil.copytree(flat, copy)
     case = tomllib.loads((copy / "case.toml").read_text(encoding="utf-8"))
     case["obstacles"][0]["radius_mm"] += 0.1
     (copy / "case.toml").write_text(tomli_w.dumps(case), encoding="utf-8")

@@ -91,18 +91,6 @@ def test_the_case_of_such_a_run_gives_the_same_numbers(pushed: Path, tmp_path: P
     assert first["monte_carlo"]["errors_mm"] == second["monte_carlo"]["errors_mm"]
 
 
-def planted(folder: Path, place: Path, change: Callable[[dict[str, Any]], None]) -> set[str]:
-    """Names of the checks that find a fault planted in result.json."""
-    copy = place / "copy"
-    copy.mkdir()
-    for entry in folder.iterdir():
-        (copy / entry.name).write_bytes(entry.read_bytes())
-    document = result_of(folder)
-    change(document)
-    (copy / "result.json").write_text(json.dumps(document), encoding="utf-8")
-    return {check.name for check in verify_run(copy).faults}
-
-
 @pytest.mark.parametrize(
     ("change", "names"),
     [
@@ -119,9 +107,9 @@ def planted(folder: Path, place: Path, change: Callable[[dict[str, Any]], None])
     ],
 )  # fmt: skip
 def test_the_verifier_finds_planted_faults(
-    pushed: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], names: set[str]
+    pushed: Path, found_in: Callable[..., set[str]], change: Callable[[dict[str, Any]], None], names: set[str]
 ) -> None:
-    assert names <= planted(pushed, tmp_path, lambda document: change(document["details"]))
+    assert names <= found_in(pushed, lambda document: change(document["details"]))
 
 
 def test_a_ct_gives_obstacle_skin_and_pictures(imaged: Path) -> None:
@@ -136,11 +124,11 @@ def test_a_ct_gives_obstacle_skin_and_pictures(imaged: Path) -> None:
     assert [check.name for check in verify_run(imaged).faults] == []
 
 
-def test_the_verifier_finds_an_entry_off_the_skin(imaged: Path, tmp_path: Path) -> None:
+def test_the_verifier_finds_an_entry_off_the_skin(imaged: Path, found_in: Callable[..., set[str]]) -> None:
     def sunk(document: dict[str, Any]) -> None:
         document["path"]["points_mm"][0][0] += 8.0
 
-    assert "entry: on the skin" in planted(imaged, tmp_path, sunk)
+    assert "entry: on the skin" in found_in(imaged, sunk)
 
 
 def test_polygons_capsules_and_the_tree_from_the_command_line(tmp_path: Path) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from segmentation.errors import CaseError
-from segmentation.mesh import Surface
 from tubeplan_viz.bench.models import Model, bent_cylinder_2, too_narrow_cylinder_2
 from tubeplan_viz.bench.paper import CYLINDER_2, SETTINGS
 from tubeplan_viz.plan import FlagKind, Limits, NoPathError, Plan, PlanStatus
@@ -136,20 +136,12 @@ def test_start_and_goal_at_one_place_are_refused(tube: Model) -> None:
         pose_problem(tube.surface, tube.start, tube.start, CYLINDER_2, SETTINGS)
 
 
-def test_a_goal_in_another_part_has_no_path(tube: Model) -> None:
+def test_a_goal_in_another_part_has_no_path(tube: Model, phantoms: ModuleType) -> None:
     far = np.array([30.0, 0.0, 0.0])
-    surface = tube.surface
-    twice = Surface(
-        np.concatenate([surface.vertices, surface.vertices + far]),
-        np.concatenate([surface.faces, surface.faces + len(surface.vertices)]),
-        np.concatenate([surface.face_cap, surface.face_cap]),
-        surface.caps,
-        surface.frame,
-    )
     with pytest.raises(
         NoPathError, match=r"no way inside the lumen leads from the start .* to the goal \(30\.00, 40\.00, 0\.00\) mm"
     ):
-        pose_problem(twice, tube.start, tube.goal + far, CYLINDER_2, SETTINGS)
+        pose_problem(phantoms.twice(tube.surface, far), tube.start, tube.goal + far, CYLINDER_2, SETTINGS)
 
 
 def test_a_used_up_time_budget_ends_the_rounds_and_says_so(variant: TubeProblem) -> None:
