@@ -21,7 +21,7 @@ TITLES = {"ok": "Every instrument reaches every target", "infeasible": "No instr
 CEILING_PLACES = {"start": "at the start itself", "goal": "at the target itself"}
 # Both columns of labels beside the still picture hold so many.
 MOST_LABELS = 30
-PARTS = {"shaft": "", "tip": "rigid tip", "ceiling": "at most"}
+PARTS = {"shaft": "", "tip": "rigid tip", "ceiling": "at most", "bend": "bend too sharp"}
 
 
 @dataclass(frozen=True)
@@ -182,31 +182,48 @@ def _target(source: Source, rows: tuple[RowView, ...], j: int) -> TargetView:
 
 
 def _hindrances(document: Mapping[str, Any]) -> tuple[Hindrance, ...]:
-    """Flagged cells one by one; what is proved to be too narrow once per target, with all instruments that it keeps out."""
-    flagged, narrow, other = [], [], []
+    """Flagged cells one by one; what proves a target out of reach once, with all instruments that it keeps out."""
+    flagged, narrow, sharp, other = [], [], [], []
     for j, target in enumerate(document["targets"]):
         label = str(target["label"])
-        kept_out = []
+        too_thick, too_stiff = [], dict[int, list[Mapping[str, Any]]]()
         for one, row in zip(document["instruments"], document["cells"], strict=True):
             cell = row[j]
             said = Hindrance(cell["verdict"], ICONS[cell["verdict"]], str(one["name"]), label, str(cell["reason"]))
             if cell["verdict"] == "flagged":
                 flagged.append(said)
+            elif cell["bend"] is not None:
+                too_stiff.setdefault(cell["bend"], []).append(one)
             elif cell["verdict"] == "impossible" and one["outer_diameter_mm"] > 2.0 * target["ceiling_mm"]:
-                kept_out.append(one)
+                too_thick.append(one)
             elif cell["verdict"] == "impossible":
                 other.append(said)
-        if kept_out:
-            thinnest = min(kept_out, key=lambda one: one["outer_diameter_mm"])
+        if too_thick:
             place = CEILING_PLACES.get(target["ceiling_end"] or "", "on every way there")
-            names = str(thinnest["name"]) + (f" and {len(kept_out) - 1} thicker" if len(kept_out) > 1 else "")
-            point = ", ".join(printed(v, 1) for v in target["ceiling_point_mm"])
             why = (
-                f"proved: {place} the lumen leaves {printed(target['ceiling_mm'], 2)} mm at most, at ({point}) mm; "
-                f"{printed(0.5 * thinnest['outer_diameter_mm'], 2)} mm or more are required"
+                f"{place} the lumen leaves {printed(target['ceiling_mm'], 2)} mm at most, at {_point(target['ceiling_point_mm'])}"
             )
-            narrow.append(Hindrance("impossible", ICONS["impossible"], names, label, why))
-    return (*flagged, *narrow, *other)
+            narrow.append(_kept_out(too_thick, label, why, "thicker"))
+        for number, kept_out in too_stiff.items():
+            bend = document["bends"][j][number]
+            why = (
+                f"the bend at {_point(bend['point_mm'])} leaves {printed(bend['clearance_upper_bound_mm'], 2)} mm at most "
+                f"at a bend radius of {printed(1.0 / bend['curvature_max_per_mm'], 1)} mm or more"
+            )
+            sharp.append(_kept_out(kept_out, label, why, "more"))
+    return (*flagged, *sharp, *narrow, *other)
+
+
+def _kept_out(instruments: list[Mapping[str, Any]], label: str, why: str, others: str) -> Hindrance:
+    """All instruments that one proof keeps from a target, by the name of the thinnest."""
+    thinnest = min(instruments, key=lambda one: float(one["outer_diameter_mm"]))
+    names = str(thinnest["name"]) + (f" and {len(instruments) - 1} {others}" if len(instruments) > 1 else "")
+    required = f"{printed(0.5 * thinnest['outer_diameter_mm'], 2)} mm{' or more' if len(instruments) > 1 else ''} are required"
+    return Hindrance("impossible", ICONS["impossible"], names, label, f"proved: {why}; {required}")
+
+
+def _point(point: list[float]) -> str:
+    return f"({', '.join(printed(v, 1) for v in point)}) mm"
 
 
 def _still(document: Mapping[str, Any], surface: Surface) -> Markup:

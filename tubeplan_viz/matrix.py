@@ -30,6 +30,7 @@ from tubeplan_viz.instruments import (
 from tubeplan_viz.pipeline import Notify, Stopwatch, Tree, grow_tree, load_lumen, resolve_end, silent
 from tubeplan_viz.recording import record_matrix
 from tubeplan_viz.result import Provenance, RunFolder, plain
+from tubeplan_viz.tube.explain import bend_details
 
 MATRIX_FILES = ("matrix.json", "matrix.csv", "report.html", "recording.rrd", "mesh.ply")
 # Spacing of the paths' points in matrix.json, mm; the splines are there too.
@@ -37,7 +38,8 @@ POINT_SPACING = 0.5
 RULE = (
     "Holds: a path is proved to keep the clearance of the instrument's radius, its bend radius and its working length, and its "
     "rigid tip, taken as a straight chord at every place of the path, keeps the same clearance. Flagged: the best path found "
-    "breaks a limit; that none exists is not proved. Impossible: proved, no path can keep the limit."
+    "breaks a limit; that none exists is not proved. Impossible: proved, no path can keep the limits, since the lumen is too "
+    "narrow on every way, a bend too sharp for the bend radius, or the target too far."
 )
 
 
@@ -171,18 +173,21 @@ def matrix_document(
             }
             for target in matrix.targets
         ],
-        "cells": [[cell_entry(cell) for cell in row] for row in matrix.cells],
+        "cells": [[cell_entry(cell, one) for cell in row] for one, row in zip(matrix.instruments, matrix.cells, strict=True)],
         "paths": [[path_entry(path) for path in paths] for paths in matrix.paths],
+        "bends": [[bend_details(bend.bound, bend.limits) for bend in bends] for bends in matrix.bends],
         "timings_s": dict(timings),
         "provenance": provenance.details(),
     }
 
 
-def cell_entry(cell: Cell) -> dict[str, Any]:
+def cell_entry(cell: Cell, instrument: Instrument) -> dict[str, Any]:
     """One cell of matrix.json."""
     return {
         "verdict": cell.verdict,
         "reason": cell.reason,
+        "required_mm": instrument.radius,
+        "available_mm": None if cell.margin is None else instrument.radius + cell.margin,
         "margin_mm": cell.margin,
         "margin_at_mm": cell.margin_at,
         "margin_point_mm": cell.margin_point,
@@ -194,6 +199,7 @@ def cell_entry(cell: Cell) -> dict[str, Any]:
         "tip_deviation_mm": None if cell.tip is None else cell.tip.deviation,
         "inferred_from": cell.inferred_from,
         "path": cell.path,
+        "bend": cell.bend,
     }
 
 
@@ -212,7 +218,8 @@ def path_entry(path: Witness) -> dict[str, Any]:
 
 def matrix_csv(document: Mapping[str, Any]) -> str:
     """One line per cell, for a spreadsheet; numbers in the shortest form that reads back to the same double."""
-    keys = ("verdict", "margin_mm", "margin_at_mm", "margin_of", "bend_radius_mm", "length_mm", "tip_clearance_mm", "reason")
+    margin = ("required_mm", "available_mm", "margin_mm", "margin_at_mm", "margin_of")
+    keys = ("verdict", *margin, "bend_radius_mm", "length_mm", "tip_clearance_mm", "reason")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["instrument", "outer_diameter_mm", "bend_radius_min_mm", "target", *keys])

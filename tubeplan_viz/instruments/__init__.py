@@ -3,6 +3,7 @@
 from tubeplan_viz.instruments.catalogue import CatalogueError, Instrument, make_catalogue, read_catalogue
 from tubeplan_viz.instruments.document import MatrixError, matrix_schema, validate_matrix
 from tubeplan_viz.instruments.matrix import Matrix, find_targets, instrument_matrix
+from tubeplan_viz.instruments.proof import SharpBend
 from tubeplan_viz.instruments.reach import ReachSettings
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
 from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness
@@ -14,6 +15,7 @@ __all__ = [
     "Matrix",
     "MatrixError",
     "ReachSettings",
+    "SharpBend",
     "Target",
     "TipClearance",
     "Verdict",

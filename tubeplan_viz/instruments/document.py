@@ -21,7 +21,7 @@ def matrix_schema() -> dict[str, Any]:
 def validate_matrix(document: Mapping[str, Any]) -> None:
     """Check a matrix, made of plain JSON values.
 
-    Beyond the schema: one row of cells per instrument, one cell per target, and paths that are there.
+    Beyond the schema: one row of cells per instrument, one cell per target, and paths and bends that are there.
 
     Raises
     ------
@@ -31,12 +31,14 @@ def validate_matrix(document: Mapping[str, Any]) -> None:
     check_schema(document, matrix_schema(), name="matrix", remedy="make it again", error=MatrixError)
     rows, columns = len(document["instruments"]), len(document["targets"])
     widths = {len(row) for row in document["cells"]}
-    if len(document["cells"]) != rows or widths != {columns} or len(document["paths"]) != columns:
+    lists = {len(document[key]) for key in ("paths", "bends")}
+    if len(document["cells"]) != rows or widths != {columns} or lists != {columns}:
         raise MatrixError(
             f"matrix.json: {len(document['cells'])} rows of {sorted(widths)} cells for {rows} instruments and {columns} targets; "
             "expected a row per instrument and a cell per target, make it again"
         )
     for i, row in enumerate(document["cells"]):
         for j, cell in enumerate(row):
-            if cell["path"] is not None and cell["path"] >= len(document["paths"][j]):
-                raise MatrixError(f"matrix.json: cells.{i}.{j}.path is {cell['path']}, expected one of the target's paths")
+            for key in ("path", "bend"):
+                if cell[key] is not None and cell[key] >= len(document[f"{key}s"][j]):
+                    raise MatrixError(f"matrix.json: cells.{i}.{j}.{key} is {cell[key]}, expected one of the target's {key}s")

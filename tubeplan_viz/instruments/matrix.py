@@ -18,13 +18,21 @@ from tubeplan_viz.centerline import Endpoint, VoronoiGraph, trace_centerline
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.ceiling import ClearanceCeiling
+from tubeplan_viz.instruments.proof import SharpBend
 from tubeplan_viz.instruments.reach import Reach, ReachSettings
 from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness
 
 # Fewer targets are done in this process sooner than another one starts.
 FEW_TARGETS = 4
-# All instruments for one target, and the paths found.
-Column = tuple[tuple[Cell, ...], tuple[Witness, ...]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Column:
+    """All instruments for one target, with the paths found and the bends proved to be too sharp."""
+
+    cells: tuple[Cell, ...]
+    paths: tuple[Witness, ...]
+    bends: tuple[SharpBend, ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,12 +47,15 @@ class Matrix:
         ``cells[i][j]`` is instrument i and target j.
     paths : tuple of tuple of Witness
         Of each target, the paths that cells refer to.
+    bends : tuple of tuple of SharpBend
+        Of each target, the bends that cells refer to.
     """
 
     instruments: tuple[Instrument, ...]
     targets: tuple[Target, ...]
     cells: tuple[tuple[Cell, ...], ...]
     paths: tuple[tuple[Witness, ...], ...]
+    bends: tuple[tuple[SharpBend, ...], ...]
 
     def count(self, verdict: Verdict) -> int:
         """Number of cells with a verdict."""
@@ -109,15 +120,16 @@ def instrument_matrix(
 
     if jobs < 2 or len(targets) <= FEW_TARGETS:
         for k in order:
-            finished(k, column(wall, start, targets[k], instruments, settings))
+            finished(k, judge_target(wall, start, targets[k], instruments, settings))
     else:
         share_targets(wall, start, targets, instruments, settings, order=order, helpers=jobs - 1, finished=finished)
-    columns = [done[k][0] for k in range(len(targets))]
+    columns = [done[k] for k in range(len(targets))]
     return Matrix(
         instruments=tuple(instruments),
         targets=tuple(targets),
-        cells=tuple(tuple(cells[i] for cells in columns) for i in range(len(instruments))),
-        paths=tuple(done[k][1] for k in range(len(targets))),
+        cells=tuple(tuple(column.cells[i] for column in columns) for i in range(len(instruments))),
+        paths=tuple(column.paths for column in columns),
+        bends=tuple(column.bends for column in columns),
     )
 
 
@@ -147,12 +159,12 @@ def share_targets(
 
         def feed() -> None:
             while (k := taken(waiting)) is not None:
-                found.put((k, pool.submit(column_in_worker, targets[k]).result()))
+                found.put((k, pool.submit(judge_in_worker, targets[k]).result()))
 
         fed = [feeders.submit(feed) for _ in range(helpers)]
         try:
             while (k := taken(waiting)) is not None:
-                finished(k, column(wall, start, targets[k], instruments, settings))
+                finished(k, judge_target(wall, start, targets[k], instruments, settings))
                 while not found.empty():
                     finished(*found.get())
         finally:
@@ -176,12 +188,12 @@ def way_length(target: Target) -> float:
     return 0.0 if target.centerline is None else float(target.centerline.arc_length[-1])
 
 
-def column(
+def judge_target(
     wall: WallDistance, start: FloatArray, target: Target, instruments: Sequence[Instrument], settings: ReachSettings
 ) -> Column:
-    """All instruments for one target, and the paths found."""
+    """All instruments for one target."""
     reach = Reach(wall, start, target, instruments, settings)
-    return reach.cells(), tuple(reach.witnesses)
+    return Column(cells=reach.cells(), paths=tuple(reach.witnesses), bends=reach.bends)
 
 
 # What one worker process works on; set once when it starts.
@@ -195,7 +207,7 @@ def prepare_worker(
     _bench[:] = [(WallDistance(surface, closed_ends=closed_ends), start, instruments, settings)]
 
 
-def column_in_worker(target: Target) -> Column:
-    """`column` on what the worker holds."""
+def judge_in_worker(target: Target) -> Column:
+    """`judge_target` on what the worker holds."""
     wall, start, instruments, settings = _bench[0]
-    return column(wall, start, target, instruments, settings)
+    return judge_target(wall, start, target, instruments, settings)

@@ -17,6 +17,7 @@ from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from tubeplan_viz.geometry import SplineCurve, WallDistance
 from tubeplan_viz.instruments.catalogue import Instrument
+from tubeplan_viz.instruments.proof import SharpBend, impossible, sharp_bends
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
 from tubeplan_viz.instruments.track import Track
 from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness, broken, witness_of
@@ -71,31 +72,21 @@ class Reach:
         self, wall: WallDistance, start: FloatArray, target: Target, instruments: Sequence[Instrument], settings: ReachSettings
     ) -> None:
         self.witnesses: list[Witness] = []
+        self.bends: tuple[SharpBend, ...] = ()
         self._wall, self._start, self._target, self._settings = wall, np.asarray(start, dtype=float), target, settings
         self._instruments = tuple(instruments)
         self._tips: dict[tuple[int, float, float], TipClearance] = {}
         self._tracks: dict[int, Track] = {}
         if target.centerline is not None:
-            possible = [one for one in self._instruments if self.proof_against(one) is None]
+            possible = [one for one in self._instruments if self.impossible(one) is None]
             self.search(possible)
+            hindered = [one for one in possible if not any(self.fits(witness, one) for witness in self.witnesses)]
+            self.bends = sharp_bends(wall, target, hindered, self.witnesses)
 
-    def proof_against(self, instrument: Instrument) -> str | None:
-        """Why no path can be for this instrument, or None when nothing proves it."""
-        ceiling, label = self._target.ceiling, self._target.label
-        if instrument.radius > ceiling.bound:
-            where = {"start": "at the start itself", "goal": f"at {label} itself", None: "on every way there"}[ceiling.end]
-            x, y, z = ceiling.place
-            return (
-                f"proved: {where} the lumen leaves {ceiling.bound:.2f} mm at most, at ({x:.1f}, {y:.1f}, {z:.1f}) mm; "
-                f"{instrument.radius:.2f} mm are required"
-            )
+    def impossible(self, instrument: Instrument) -> Cell | None:
+        """The cell of an instrument that no path can be for, or None while nothing proves it."""
         straight = float(np.linalg.norm(self._target.point - self._start)) + self._settings.before_start_mm
-        if instrument.working_length_mm < straight:
-            return (
-                f"proved: {label} is {straight:.0f} mm away even in a straight line; "
-                f"the working length is {instrument.working_length_mm:.0f} mm"
-            )
-        return None
+        return impossible(instrument, self._target, straight=straight, bends=self.bends)
 
     def search(self, possible: Sequence[Instrument]) -> None:
         """Find paths for the bend radii of these instruments, stiffest instruments' limits included."""
@@ -188,13 +179,14 @@ class Reach:
             self._tips[index, length, radius] = found
         return self._tips[index, length, radius]
 
+    def fits(self, witness: Witness, instrument: Instrument) -> bool:
+        """Whether a path is proved to keep curvature limit and clearance."""
+        return witness.curvature_bound <= instrument.limits.curvature_max and witness.clearance_bound >= instrument.radius
+
     def keeps(self, witness: Witness, instrument: Instrument) -> bool:
         """Whether a path is proved to keep curvature limit, clearance and working length; the tip is not looked at."""
-        return (
-            witness.curvature_bound <= instrument.limits.curvature_max
-            and witness.clearance_bound >= instrument.radius
-            and witness.length + self._settings.before_start_mm <= instrument.working_length_mm
-        )
+        used = witness.length + self._settings.before_start_mm
+        return self.fits(witness, instrument) and used <= instrument.working_length_mm
 
     def is_served(self, instrument: Instrument) -> bool:
         """Whether one of the paths found is proved for shaft and tip of an instrument."""
@@ -223,19 +215,9 @@ class Reach:
 
     def judge(self, instrument: Instrument) -> Cell:
         """The best of the witnesses for one instrument, or the proof that there is none."""
-        proof = self.proof_against(instrument)
-        if proof is not None:
-            ceiling = self._target.ceiling
-            x, y, z = (float(v) for v in ceiling.place)
-            return Cell(
-                instrument=instrument.name,
-                target=self._target.label,
-                verdict=Verdict.IMPOSSIBLE,
-                reason=proof,
-                margin=ceiling.bound - instrument.radius,
-                margin_point=(x, y, z),
-                margin_of="ceiling",
-            )
+        proved = self.impossible(instrument)
+        if proved is not None:
+            return proved
         if not self.witnesses:
             return Cell(
                 instrument=instrument.name,

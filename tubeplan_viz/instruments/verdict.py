@@ -87,7 +87,8 @@ class Cell:
         the proved most that any path can have.
     margin_at, margin_point : float or None, mm
         Where along the path (for the tip: of its front), and the point.
-    margin_of : {"shaft", "tip", "ceiling"} or None
+    margin_of : {"shaft", "tip", "ceiling", "bend"} or None
+        What it is the margin of; of an impossible cell the lumen's narrowest place or a bend.
     bend_radius : float or None, mm
         Sharpest bend of the path.
     bend_at : float or None, mm
@@ -98,6 +99,8 @@ class Cell:
         The harder instrument whose path this one can follow shape for shape.
     path : int or None
         Index into the target's witnesses.
+    bend : int or None
+        Index into the target's sharp bends, of the one that proves the cell impossible.
     """
 
     instrument: str
@@ -114,6 +117,7 @@ class Cell:
     tip: TipClearance | None = None
     inferred_from: str | None = None
     path: int | None = None
+    bend: int | None = None
 
 
 def witness_of(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Witness:

@@ -10,7 +10,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
+from tubeplan_viz.geometry import across
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.anatomy import log_surface
 from tubeplan_viz.recording.blueprint import folded, scene_axes, scene_view, viewpoint
@@ -21,6 +23,8 @@ TREE = "/case/instruments"
 # Bluish green, orange and reddish purple (Okabe and Ito): told apart with any colour vision, and named in the table.
 COLORS: dict[str, at.Color] = {"feasible": (0, 158, 115), "flagged": (230, 159, 0), "impossible": (204, 121, 167)}
 SIGNS = {"feasible": "holds", "flagged": "flagged", "impossible": "impossible"}
+# A unit circle, closed.
+CIRCLE = np.column_stack([np.cos(np.linspace(0.0, 2.0 * np.pi, 49)), np.sin(np.linspace(0.0, 2.0 * np.pi, 49))])
 # Of the table, whose columns have to be narrow: ten targets stand side by side. No signs: some of them end the viewer.
 MARKS = {"feasible": "yes", "flagged": "flag", "impossible": "no"}
 
@@ -71,6 +75,8 @@ def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]
     sink.log(
         f"{TREE}/targets", rr.Points3D(points, colors=colors, radii=rr.Radius.ui_points(6.0), labels=labels, show_labels=True)
     )
+    rings = section_rings(document, row)
+    sink.log(f"{TREE}/bends", rr.LineStrips3D(rings, colors=COLORS["impossible"], radii=rr.Radius.ui_points(1.5)))
     worst = [
         (cell["margin_point_mm"], color)
         for cell, color in zip(row, colors, strict=True)
@@ -80,6 +86,21 @@ def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]
         f"{TREE}/worst",
         rr.Points3D([point for point, _ in worst], colors=[color for _, color in worst], radii=rr.Radius.ui_points(4.0)),
     )
+
+
+def section_rings(document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> list[FloatArray]:
+    """Rims of the cross-sections of each bend that keeps one instrument out; an end of the path has none."""
+    found = []
+    for bends, cell in zip(document["bends"], row, strict=True):
+        if cell["bend"] is None:
+            continue
+        for section in bends[cell["bend"]]["sections"]:
+            side, up = across(np.array([section["normal"]], float))
+            if section["radius_mm"] > 0.0:
+                found.append(
+                    np.asarray(section["point_mm"], float) + section["radius_mm"] * (CIRCLE @ np.concatenate([side, up]))
+                )
+    return found
 
 
 def told(document: Mapping[str, Any], one: Mapping[str, Any], row: list[Mapping[str, Any]]) -> str:

@@ -26,6 +26,16 @@ name = "far too thick"
 kind = "test"
 outer_diameter_mm = 20.0
 bend_radius_min_mm = 6.0
+[[instrument]]
+name = "stiff"
+kind = "test"
+outer_diameter_mm = 1.9
+bend_radius_min_mm = 24.0
+[[instrument]]
+name = "stiff and thick"
+kind = "test"
+outer_diameter_mm = 2.0
+bend_radius_min_mm = 30.0
 """
 
 
@@ -45,10 +55,10 @@ def test_the_folder_is_whole_and_its_document_follows_the_schema(made: tuple[Pat
     assert names == {"matrix.json", "matrix.csv", "report.html", "recording.rrd", "mesh.ply"}
     document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
     validate_matrix(document)
-    assert [row[0]["verdict"] for row in document["cells"]] == ["feasible", "impossible"]
+    assert [row[0]["verdict"] for row in document["cells"]] == ["feasible", "impossible", "impossible", "impossible"]
     with (place / "out" / "matrix.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * len(document["targets"])
+    assert len(rows) == 4 * len(document["targets"])
     assert float(rows[0]["margin_mm"]) == pytest.approx(document["cells"][0][0]["margin_mm"], abs=1e-4)  # printed with four
     text = "".join((place / "out" / name).read_text(encoding="utf-8") for name in ("matrix.json", "matrix.csv", "report.html"))
     assert str(place) not in text
@@ -66,14 +76,37 @@ def test_the_page_prints_every_margin_and_escapes_names(made: tuple[Path, int]) 
     assert "thin &lt;b&gt;" in page
 
 
+def test_a_bend_that_keeps_instruments_out_stands_in_document_page_table_and_recording(made: tuple[Path, int]) -> None:
+    place, _ = made
+    document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
+    for j, target in enumerate(document["targets"]):
+        stiff, thick = document["cells"][2][j], document["cells"][3][j]
+        bend = document["bends"][j][stiff["bend"]]
+        # The proof for the one serves the other, which is thicker and stiffer.
+        assert thick["bend"] == stiff["bend"]
+        assert stiff["required_mm"] == 0.95
+        assert stiff["available_mm"] == pytest.approx(bend["clearance_upper_bound_mm"])
+        assert stiff["margin_mm"] == pytest.approx(stiff["available_mm"] - 0.95)
+        assert stiff["margin_point_mm"] == bend["point_mm"]
+        said = f"leaves {printed(bend['clearance_upper_bound_mm'], 2)} mm at most at a bend radius of 24.0 mm or more; 0.95 mm"
+        assert said in stiff["reason"]
+        page = (place / "out" / "report.html").read_text(encoding="utf-8").split("<script")[0]
+        assert f"</span>stiff and 1 more</th><td>{target['label']}</td>" in page
+        assert said in page
+    with (place / "out" / "matrix.csv").open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["instrument"] == "stiff"]
+    assert {row["margin_of"] for row in rows} == {"bend"}
+    assert float(rows[0]["available_mm"]) == pytest.approx(document["cells"][2][0]["available_mm"], abs=1e-4)
+
+
 def test_a_document_that_contradicts_itself_is_refused(made: tuple[Path, int]) -> None:
     place, _ = made
     document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
     document["cells"].pop()
-    with pytest.raises(MatrixError, match="1 rows of"):
+    with pytest.raises(MatrixError, match="3 rows of"):
         validate_matrix(document)
     document["cells"].append([{"verdict": "perhaps"}])
-    with pytest.raises(MatrixError, match=r"at cells\.1\.0"):
+    with pytest.raises(MatrixError, match=r"at cells\.3\.0"):
         validate_matrix(document)
 
 

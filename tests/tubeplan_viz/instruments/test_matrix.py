@@ -35,12 +35,6 @@ def test_an_instrument_that_fits_holds_and_one_thicker_than_a_branch_is_proved_i
     assert matrix.cells[1][1].margin == pytest.approx(NARROW - 1.5, abs=0.1)
 
 
-def test_a_bend_that_no_path_was_found_for_is_flagged_and_not_called_impossible(fork: Any) -> None:
-    cell = judged(fork, [scope("stiff", 2.0, 60.0)]).cells[0][0]
-    assert cell.verdict is Verdict.FLAGGED
-    assert "bend radius falls to" in cell.reason or "clearance falls to" in cell.reason
-
-
 def test_every_yes_is_true_of_its_path(fork: Any) -> None:
     instruments = [scope("a", 1.2, 6.0, tip=5.0), scope("b", 1.9, 11.0), scope("c", 3.0, 9.0, tip=6.0, reach=75.0)]
     matrix = judged(fork, instruments)
@@ -62,13 +56,17 @@ def test_every_yes_is_true_of_its_path(fork: Any) -> None:
 
 
 @pytest.mark.parametrize("seed", [1])
-def test_thinner_or_more_flexible_never_turns_a_yes_into_a_no(fork: Any, seed: int) -> None:
+def test_thinner_or_more_flexible_never_turns_a_yes_into_a_no_nor_an_open_question_into_one(fork: Any, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    instruments = [scope(f"i{k}", *rng.uniform([0.6, 4.0, 0.0, 50.0], [4.2, 20.0, 8.0, 120.0]).tolist()) for k in range(8)]
+    instruments = [scope(f"i{k}", *rng.uniform([0.6, 4.0, 0.0, 50.0], [4.2, 28.0, 8.0, 120.0]).tolist()) for k in range(8)]
     # Neighbours of each that differ in one value only.
     instruments += [
         scope(f"thinner{k}", 0.9 * a.outer_diameter_mm, a.bend_radius_min_mm, a.rigid_tip_mm, a.working_length_mm)
         for k, a in enumerate(instruments[:4])
+    ]
+    instruments += [
+        scope(f"softer{k}", a.outer_diameter_mm, 0.8 * a.bend_radius_min_mm, a.rigid_tip_mm, a.working_length_mm)
+        for k, a in enumerate(instruments[:8])
     ]
     instruments += [
         scope(f"shorter tip{k}", a.outer_diameter_mm, a.bend_radius_min_mm, 0.5 * a.rigid_tip_mm, a.working_length_mm)
@@ -87,7 +85,8 @@ def test_thinner_or_more_flexible_never_turns_a_yes_into_a_no(fork: Any, seed: i
                 assert not (easier is Verdict.IMPOSSIBLE and harder is not Verdict.IMPOSSIBLE), (easy, hard)
     assert pairs > 8
     assert matrix.count(Verdict.FEASIBLE) > 0
-    assert matrix.count(Verdict.IMPOSSIBLE) > 0
+    assert sum(cell.bend is not None for row in matrix.cells for cell in row) > 2
+    assert any(cell.margin_of == "ceiling" for row in matrix.cells for cell in row)
 
 
 def test_a_long_rigid_tip_is_stopped_where_a_point_would_pass(fork: Any) -> None:
