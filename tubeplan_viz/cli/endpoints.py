@@ -12,12 +12,12 @@ from rich.table import Table
 
 from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
-from tubeplan_viz.cli.options import Json, Quiet, case_options
+from tubeplan_viz.cli.options import LUMEN, Json, Quiet, some_case_options
 from tubeplan_viz.cli.show import progress
 from tubeplan_viz.pipeline import Stopwatch, endpoint_details, grow_tree, load_lumen
 
 
-@case_options
+@some_case_options(*LUMEN, "closed_ends", "centerline_step")
 def endpoints(
     *,
     source: Annotated[Path | None, typer.Argument(metavar="MESH_OR_RUN", help="Mesh file or run folder; or use --ct.")] = None,

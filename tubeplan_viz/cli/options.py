@@ -109,10 +109,20 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
 }
 
 
+# What makes the lumen from a CT, and from a CT or a mesh: for commands that plan nothing.
+LUMEN_OF_CT = ("ct", "series", "anatomy", "seed_point", "hu_min", "hu_max", "connectivity", "smoothing")
+LUMEN = ("ct", "mesh", "series", "mesh_unit", "part", *LUMEN_OF_CT[2:])
+
+
 def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command all options of a case; it receives those that were set as tables, `given`."""
-    declared = {name: Annotated[kind | None, declaration] for name, (_, _, kind, declaration) in CASE_OPTIONS.items()}
-    return with_options(command, "given", declared, dict.fromkeys(declared), tables)
+    return some_case_options(*CASE_OPTIONS)(command)
+
+
+def some_case_options(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """The same with those options alone that say something to the command: one that did nothing would mislead."""
+    declared = {name: Annotated[CASE_OPTIONS[name][2] | None, CASE_OPTIONS[name][3]] for name in names}
+    return lambda command: with_options(command, "given", declared, dict.fromkeys(declared), tables)
 
 
 @dataclass(frozen=True, kw_only=True)

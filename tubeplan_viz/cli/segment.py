@@ -8,13 +8,14 @@ from typing import Any
 
 import typer
 
+from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
-from tubeplan_viz.cli.options import Force, Json, Output, Quiet, case_options
+from tubeplan_viz.cli.options import LUMEN_OF_CT, Force, Json, Output, Quiet, some_case_options
 from tubeplan_viz.cli.show import progress
 from tubeplan_viz.pipeline import segment_case
 
 
-@case_options
+@some_case_options(*LUMEN_OF_CT)
 def segment(
     *,
     given: dict[str, dict[str, Any]],
@@ -27,6 +28,8 @@ def segment(
 
     Example: tubeplan segment --ct chest/ --anatomy airway -o airway
     """
+    if "ct" not in given.get("input", {}):
+        raise CaseError("segmenting needs a CT; give --ct")
     case = make_case(given, name="options")
     with progress(quiet or json) as notify:
         summary = segment_case(case.input, output, force=force, notify=notify)

@@ -117,7 +117,9 @@ BAD: list[tuple[tuple[str, ...], str]] = [
     (("verify", "missing"), "missing has no result.json that can be read"),
     (("endpoints",), "name a mesh file or run folder"),
     (("inspect", "missing"), "missing: no such file or folder"),
-    (("segment", "--anatomy", "airway"), "give either a CT"),
+    (("segment", "--anatomy", "airway"), "segmenting needs a CT; give --ct"),
+    (("segment", "--ct", "chest", "--goal", "1,2,3"), "No such option: --goal"),
+    (("endpoints", "tube.ply", "--clearance-min", "2"), "No such option: --clearance-min"),
     (("bench", "nothing"), "no benchmark 'nothing', expected one of paper, centerline"),
     (("bogus",), "bogus"),
 ]
