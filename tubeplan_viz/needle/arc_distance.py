@@ -10,12 +10,16 @@ from tubeplan_viz.needle.kinematics import Arcs, chord, cross
 STRAIGHT = 1e-12  # 1/mm; an arc of this curvature leaves its tangent by 1e-8 mm on 150 mm
 
 
-def on_arc(arcs: Arcs, spokes: FloatArray) -> BoolArray:
-    """Whether directions from the circles' centres, (..., n, m, 3), lead to a point of the arc, (..., n, m)."""
+def angle_on(arcs: Arcs, spokes: FloatArray) -> FloatArray:
+    """How far round from its start, 0 to 2 pi, a piece's circle meets directions from its centre, (..., n, m, 3): (..., n, m)."""
     x = np.einsum("...md,...d->...m", spokes, arcs.tangents)
     y = np.einsum("...md,...d->...m", spokes, arcs.normals)
-    angle = np.mod(np.arctan2(x, -y), 2.0 * np.pi)
-    return np.asarray(angle <= (arcs.lengths * arcs.curvatures)[..., None])
+    return np.asarray(np.mod(np.arctan2(x, -y), 2.0 * np.pi))
+
+
+def on_arc(arcs: Arcs, spokes: FloatArray) -> BoolArray:
+    """Whether directions from the circles' centres, (..., n, m, 3), lead to a point of the arc, (..., n, m)."""
+    return np.asarray(angle_on(arcs, spokes) <= (arcs.lengths * arcs.curvatures)[..., None])
 
 
 def arc_distance(arcs: Arcs, centers: FloatArray) -> FloatArray:

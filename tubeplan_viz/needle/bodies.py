@@ -16,8 +16,10 @@ from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.needle.arc_distance import STRAIGHT, arc_distance, on_arc
+from tubeplan_viz.needle.arc_distance import STRAIGHT, angle_on, arc_distance, on_arc
 from tubeplan_viz.needle.kinematics import Arcs
+
+ROUNDING = 1e-9  # mm by which a crossing may lie beyond an edge's ends
 
 
 class Obstacle(Protocol):
@@ -100,10 +102,11 @@ class Polygon:
         return np.where(inside, -gap, gap)
 
     def arc_gaps(self, arcs: Arcs) -> FloatArray:
-        """Exact distance, mm, of pieces in the plane x = 0, (..., n); 0 or less where one meets the polygon.
+        """Exact distance, mm, of pieces in the plane x = 0, (..., n); below 0 where one goes through the polygon.
 
         An arc and an edge are nearest at a corner, at an end of the arc, or where the circle's radius meets the
-        edge at a right angle; or they cross.
+        edge at a right angle; or they cross. Of one that crosses, the depth is that at the deepest middle of the stretches
+        between its crossings.
         """
         corners = np.column_stack([np.zeros(len(self.corners)), self.corners])
         edge = np.roll(corners, -1, axis=0) - corners
@@ -121,17 +124,22 @@ class Polygon:
         beside = bent & (touch >= 0.0) & (foot >= 0.0) & (foot <= size)
         inward = -np.sign(height)[..., None] * across  # from the centre to the edge
         gap = np.minimum(gap, np.where(beside & on_arc(arcs, inward), touch, np.inf).min(axis=-1))
+        whole = arcs.lengths[..., None]
         half = np.sqrt(np.maximum(radius**2 - height**2, 0.0))
-        for sign in (1.0, -1.0):
-            at = foot + sign * half
-            spoke = corners + at[..., None] * along - center
-            gap = np.where((bent & (touch < 0.0) & (at >= 0.0) & (at <= size) & on_arc(arcs, spoke)).any(axis=-1),
-                           np.minimum(gap, 0.0), gap)  # fmt: skip
         reach = np.einsum("...d,md->...m", arcs.tangents, across)
         ahead = -height / np.where(np.abs(reach) < 1e-300, 1e-300, reach)
         at = foot + ahead * np.einsum("...d,md->...m", arcs.tangents, along)
-        crossed = ~bent & (ahead >= 0.0) & (ahead <= arcs.lengths[..., None]) & (at >= 0.0) & (at <= size)
-        return np.where(crossed.any(axis=-1), np.minimum(gap, 0.0), gap)
+        crossings = [(~bent & (ahead >= 0.0), ahead, at)]
+        for at in (foot + half, foot - half):
+            way = angle_on(arcs, corners + at[..., None] * along - center) * radius
+            crossings.append((bent & (touch < 0.0), way, at))
+        # A path through a corner can miss both edges by rounding: what lies between is asked, so that too many do no harm.
+        ways = [
+            np.where(may & (way <= whole) & (at >= -ROUNDING) & (at <= size + ROUNDING), way, whole) for may, way, at in crossings
+        ]
+        depth = self.distance(arcs.points(middles(np.concatenate(ways, axis=-1), arcs.lengths))).min(axis=-1)
+        met = np.any([may & (way <= whole) & (at >= 0.0) & (at <= size) for may, way, at in crossings], axis=(0, -1))
+        return np.minimum(gap, np.where(met | (depth < 0.0), np.minimum(depth, 0.0), np.inf))
 
 
 class MeshObstacle:
@@ -192,6 +200,12 @@ class MaskObstacle:
         return np.asarray(np.maximum(value - self.bound, beyond - self.bound) if beyond.any() else value - self.bound).reshape(
             points.shape[:-1]
         )
+
+
+def middles(ways: FloatArray, length: FloatArray) -> FloatArray:
+    """Middles, mm, (..., k + 1), of the stretches into which k places, mm, (..., k), part pieces of given lengths, (...)."""
+    ends = np.concatenate([np.zeros((*length.shape, 1)), np.sort(ways, axis=-1), length[..., None]], axis=-1)
+    return np.asarray(0.5 * (ends[..., :-1] + ends[..., 1:]))
 
 
 def check_radius(kind: str, radius: float) -> None:

@@ -2,7 +2,8 @@
 
 # Strategy: the search asks tens of thousands of paths at once, so everything is one array operation per piece of a form. A
 # circle is a point with a radius. A polygon is nearest at a corner, at an end of the piece, or where an arc's radius meets an
-# edge at a right angle; where they cross, the deepest of some samples stands for the depth.
+# edge at a right angle; where they cross, the deepest of some samples and of the middles between crossings stands for the depth:
+# without the middles a thin wall slips through between samples.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.errors import CaseError
-from tubeplan_viz.needle.bodies import Polygon, Sphere
+from tubeplan_viz.needle.bodies import ROUNDING, Polygon, Sphere, middles
 from tubeplan_viz.needle.planar_shapes import PlanarProblem
 
 ComplexArray = NDArray[np.complex128]
@@ -51,9 +52,14 @@ class Piece:
         before_end = q.real * np.sin(turn) - across * np.cos(turn) >= 0.0
         return np.where(turn <= np.pi, (across >= 0.0) & before_end, (across >= 0.0) | before_end)
 
-    def points(self, count: int) -> ComplexArray:
-        """Places along it from end to end, (k, count)."""
-        way = self.length[:, None] * np.linspace(0.0, 1.0, count)
+    def way_to(self, spokes: ComplexArray) -> FloatArray:
+        """How far along the circle of an arc, mm, directions from its centre, (k, m), are met: (k, m)."""
+        bend = self.curvature[:, None]
+        angle = np.angle(spokes * (1j * self.heading.conj())[:, None] * bend)
+        return np.asarray(np.mod(np.where(bend > 0, angle, -angle), 2.0 * np.pi) / np.abs(bend))
+
+    def points(self, way: FloatArray) -> ComplexArray:
+        """Places `way` mm along it, (k, j)."""
         if self.straight:
             return self.start[:, None] + way * self.heading[:, None]
         bend = self.curvature[:, None]
@@ -172,12 +178,12 @@ def to_polygon(piece: Piece, corners: ComplexArray) -> Nearest:
         parts.append(
             Nearest(gap, np.broadcast_to(tip[:, None], gap.shape), 1j * along * np.sign(q.imag), np.full(gap.shape, is_end))
         )
+    length = piece.length[:, None]
     if piece.straight:
         height = (piece.start[:, None] - corners) * along.conj()
         rate = piece.heading[:, None] * along.conj()
         ahead = -height.imag / np.where(np.abs(rate.imag) < TINY, TINY, rate.imag)
-        foot = height.real + ahead * rate.real
-        crossed = ((ahead >= 0.0) & (ahead <= piece.length[:, None]) & (foot >= 0.0) & (foot <= size)).any(axis=1)
+        crossings = [(ahead >= 0.0, ahead, height.real + ahead * rate.real)]
     else:
         center, radius = piece.center[:, None], 1.0 / np.abs(piece.curvature[:, None])
         q = (center - corners) * along.conj()
@@ -186,22 +192,28 @@ def to_polygon(piece: Piece, corners: ComplexArray) -> Nearest:
         gap = np.where(beside, np.abs(q.imag) - radius, np.inf)
         parts.append(Nearest(gap, center + radius * inward, -inward, np.zeros(gap.shape, bool)))
         half = np.sqrt(np.maximum(radius**2 - q.imag**2, 0.0))
-        crossed = np.zeros(len(gap), bool)
-        for at in (q.real - half, q.real + half):
-            reached = (np.abs(q.imag) < radius) & (at >= 0.0) & (at <= size) & piece.passes(corners + at * along - center)
-            crossed |= reached.any(axis=1)
+        meets = np.abs(q.imag) < radius
+        crossings = [(meets, piece.way_to(corners + at * along - center), at) for at in (q.real - half, q.real + half)]
+    # A path through a corner can miss both edges by rounding: what lies between is asked, so that too many do no harm.
+    near = [may & (way <= length) & (at >= -ROUNDING) & (at <= size + ROUNDING) for may, way, at in crossings]
+    crossed = np.any([hit & (at >= 0.0) & (at <= size) for hit, (_, _, at) in zip(near, crossings, strict=True)], axis=(0, 2))
     every = side_by_side(parts)
     best = every.columns(every.gap.argmin(axis=1)[:, None])
-    deep: IntArray = np.flatnonzero(crossed | contains(corners, piece.start[:, None])[:, 0])
+    deep: IntArray = np.flatnonzero(np.any(near, axis=(0, 2)) | contains(corners, piece.start[:, None])[:, 0])
     if not len(deep):
         return best
-    sampled = piece.points(DEPTHS)[deep]
+    ways = np.concatenate([np.where(hit, way, length) for hit, (_, way, _) in zip(near, crossings, strict=True)], axis=1)
+    along_it = np.column_stack([middles(ways, piece.length), length * np.linspace(0.0, 1.0, DEPTHS)])
+    sampled = piece.points(along_it)[deep]
     depths, outward = signed(corners, sampled)
     worst = depths.argmin(axis=1)[:, None]
     depth, place, normal, at_end = best.gap.copy(), best.place.copy(), best.normal.copy(), best.at_end.copy()
-    depth[deep] = np.minimum(np.take_along_axis(depths, worst, axis=1), 0.0)
-    place[deep], normal[deep] = np.take_along_axis(sampled, worst, axis=1), np.take_along_axis(outward, worst, axis=1)
-    at_end[deep] = worst == DEPTHS - 1
+    found = np.take_along_axis(depths, worst, axis=1)
+    inside = crossed[deep, None] | (found < 0.0)
+    depth[deep] = np.where(inside, np.minimum(found, 0.0), depth[deep])
+    place[deep] = np.where(inside, np.take_along_axis(sampled, worst, axis=1), place[deep])
+    normal[deep] = np.where(inside, np.take_along_axis(outward, worst, axis=1), normal[deep])
+    at_end[deep] = np.where(inside, worst == along_it.shape[1] - 1, at_end[deep])
     return Nearest(depth, place, normal, at_end)
 
 

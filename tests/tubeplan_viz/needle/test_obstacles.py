@@ -112,7 +112,7 @@ def test_distance_of_planar_pieces_to_a_polygon_is_that_of_dense_samples(curvatu
         found = body.arc_gaps(arcs)[0]
         if dense <= 0.0:
             met += 1
-            assert found <= 1e-9  # how deep it goes is not told
+            assert dense - 1e-9 <= found < 0.0  # some depth of the way through, not the greatest
         else:
             assert found == pytest.approx(dense, abs=2e-3)  # half of 70 mm / 20000
     assert 5 < met < 50

@@ -173,6 +173,24 @@ def test_polygons_are_kept_clear_of() -> None:
     assert wall.distance(dense(chosen)).min() < 2.1  # no farther than it must: the shortest path passes close
 
 
+@pytest.mark.parametrize(
+    ("corners", "simple"),
+    [
+        ([[-60.0, 46.0], [60.0, 46.0], [60.0, 46.5], [-60.0, 46.5]], []),  # thinner than any spacing of samples
+        ([[0.0, 40.0], [10.0, 50.0], [0.0, 60.0], [-10.0, 50.0]], ["R"]),  # the line meets two corners exactly
+        ([[20.0, 60.0], [40.0, 60.0], [40.0, 80.0]], ["L", "R"]),  # one arc cuts a corner off, the other does not
+    ],
+    ids=["thin wall", "through corners", "cut corner"],
+)
+def test_without_a_safety_distance_no_form_goes_through_a_polygon(corners: list[list[float]], simple: list[str]) -> None:
+    body = Polygon(np.array(corners))
+    feasible = [p for p in plan_planar(problem(Scene((body,)), (0.0, 90.0), degree_max=3)) if p.feasible]
+    for path in feasible:
+        # 4000 steps over at most 180 mm; a chord of 0.045 mm leaves an arc of radius 50 mm by 5e-6 mm.
+        assert body.distance(dense(path)).min() > -5e-6, path.form
+    assert [path.form for path in feasible if path.degree == 1] == simple
+
+
 def test_danger_weighs_against_length() -> None:
     short = best(plan_planar(problem(PRINTED, (0.0, 90.0), safety=1.0, degree_max=2)))
     wary = best(plan_planar(problem(PRINTED, (0.0, 90.0), safety=1.0, degree_max=2, weight_danger=20.0)))

@@ -88,6 +88,7 @@ def test_distances_are_those_of_the_scene_in_space(bodies: tuple[Obstacle, ...])
         apart = theirs > 1e-9
         assert np.abs(ours - theirs)[apart].max() < 1e-9
         assert (ours[~apart] <= 1e-9).all()
+        assert ((ours < -1e-9) == (theirs < -1e-9)).all()  # one that goes through is negative in both
         assert 0 < np.count_nonzero(~apart) < apart.size
 
 
