@@ -12,27 +12,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from segmentation.arrays import FloatArray, IntArray
 from segmentation.errors import SurfaceError
 from segmentation.mesh import Cap, Surface
-from segmentation.mesh_closing import boundary_loops, close_loops
 from segmentation.mesh_parse import MeshPart, ParsedMesh, parse_mesh
 from segmentation.mesh_repair import (
-    choose_component,
     clean_faces,
     closed_and_oriented,
     edge_map,
     face_components,
     merge_vertices,
-    orient,
     separate_sheets,
     signed_volume,
 )
+from segmentation.mesh_wall import lumen_wall
 
 UNIT_MM: Mapping[str, float] = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 UNIT_NAMES: Mapping[str, str] = {"um": "micrometres", "mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches"}
 # The longest side of a lumen's box: below, no instrument; above, larger than a person.
 SMALLEST_MM, LARGEST_MM = 5.0, 2000.0
+# Products of coordinates keep 16 digits: from here on, squares of a micrometre are lost beside squares of the place.
+FARTHEST_MM = 1e6
+# Steps of 32-bit coordinates from which on they are told: half of the last digit in which clearances are printed.
+COARSE_MM = 0.005
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -88,12 +89,13 @@ def read_surface(
     inputs = ((name, hashlib.sha256(path.read_bytes()).hexdigest()),)
     if "tubeplan" in parsed.comments and mesh_unit in (None, "mm"):
         surface = read_ply(path)
+        _check_unchanged(surface, name)
         return MeshInput(surface=surface, facts=_facts("PLY of tubeplan", "mm", surface), warnings=(), inputs=inputs)
     chosen = _choose_part(parsed, part, name)
     unit = mesh_unit or parsed.unit
     vertices, raw_faces = merge_vertices(chosen.vertices * UNIT_MM[unit], chosen.faces)
     size = float(np.ptp(vertices, axis=0).max())
-    warnings = []
+    warnings = [f"{name}: {text}" for text in parsed.doubts]
     if not SMALLEST_MM <= size <= LARGEST_MM:
         doubt = f"{name}: taken as {UNIT_NAMES[unit]} the mesh is {size:.4g} mm long"
         if mesh_unit is None:
@@ -101,6 +103,7 @@ def read_surface(
                 f"{doubt}, which no lumen is; {_likely_unit(size / UNIT_MM[unit])} with --mesh-unit (um, mm, cm, m, in)"
             )
         warnings.append(f"{doubt}, which is unusual for a lumen")
+    warnings += _coarse_numbers(chosen, UNIT_MM[unit], name)
     if parsed.unit != "mm" and mesh_unit is None:
         warnings.append(
             f"{name}: {parsed.format} is in {UNIT_NAMES[unit]} by its standard; lengths were multiplied by {UNIT_MM[unit]:g}"
@@ -114,18 +117,62 @@ def read_surface(
     if touching:
         warnings.append(f"{name}: the wall touches itself along {touching} edge(s) and was cut apart there")
     point = None if near is None else np.asarray(near, dtype=float)
-    vertices, faces, dropped = _one_component(vertices, faces, point)
-    if dropped:
-        warnings.append(
-            f"{name}: {dropped[0]} further component(s) with {dropped[1]} faces dropped; the part kept is {_kept_words(point)}"
-        )
-    surface, notes = _closed(vertices, faces, name)
+    surface, notes = lumen_wall(vertices, faces, point, name)
     facts = _facts(parsed.format, unit, surface)
     return MeshInput(surface=surface, facts=facts, warnings=(*warnings, *(f"{name}: {note}" for note in notes)), inputs=inputs)
 
 
-def _kept_words(near: FloatArray | None) -> str:
-    return "the largest" if near is None else f"the one at ({near[0]:.1f}, {near[1]:.1f}, {near[2]:.1f})"
+def _coarse_numbers(part: MeshPart, mm: float, name: str) -> list[str]:
+    """A word about coordinates so large that their last digit is no longer small against a clearance.
+
+    Raises
+    ------
+    SurfaceError
+        If the mesh lies so far out that distances cannot be computed from its coordinates.
+    """
+    far = float(np.abs(part.vertices).max())
+    if far * mm > FARTHEST_MM:
+        raise SurfaceError(
+            f"{name}: lies {far * mm:.3g} mm from the origin of its axes, expected at most {FARTHEST_MM:g} mm, beyond which "
+            "distances lose their digits; move the mesh towards the origin, and the points with it"
+        )
+    step = float(np.spacing(np.float32(far))) * mm
+    if step < COARSE_MM or not np.array_equal(part.vertices.astype(np.float32), part.vertices):
+        return []
+    return [
+        f"{name}: its coordinates reach {far * mm:.3g} mm in 32-bit numbers, which are {step:.2g} mm apart there: the wall is no "
+        "truer than that; move the mesh towards the origin before it is exported"
+    ]
+
+
+def _check_unchanged(surface: Surface, name: str) -> None:
+    """Hold a PLY that says it is of this program against what this program writes.
+
+    Raises
+    ------
+    SurfaceError
+        If another program has changed it: what it says of its caps would no longer be true.
+    """
+    size = float(np.ptp(surface.vertices, axis=0).max())
+    fault = None
+    if not closed_and_oriented(surface.faces).all():
+        fault = "its wall is not closed"
+    elif signed_volume(surface.vertices, surface.faces) <= 0.0:
+        fault = "its faces look inward"
+    elif size > LARGEST_MM or float(np.abs(surface.vertices).max()) > FARTHEST_MM:
+        fault = f"it is {size:.4g} mm long"
+    for index, cap in enumerate(surface.caps):
+        corners = surface.vertices[surface.faces[surface.face_cap == index]]
+        vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # The area of a cap is that of its faces, or of its rim's projection, which is the length of their summed vectors.
+        least, most = float(np.linalg.norm(vectors.sum(axis=0))), float(np.linalg.norm(vectors, axis=1).sum())
+        if fault is None and not least * (1.0 - 1e-6) - 1e-9 <= cap.area <= most * (1.0 + 1e-6) + 1e-9:
+            fault = f"the faces of its cap {cap.label} cover {most:.4g} mm^2 and not the {cap.area:.4g} mm^2 that it states"
+    if fault is not None:
+        raise SurfaceError(
+            f"{name}: was changed since tubeplan wrote it ({fault}); write it again, "
+            "or take out its line 'comment tubeplan' to have it read as any other mesh"
+        )
 
 
 def _choose_part(parsed: ParsedMesh, part: str | None, name: str) -> MeshPart:
@@ -138,7 +185,7 @@ def _choose_part(parsed: ParsedMesh, part: str | None, name: str) -> MeshPart:
     if len(parsed.parts) > 1:
         raise SurfaceError(
             f"{name}: a scene of {len(names)} separate parts ({_listed(names)}), expected one wall; "
-            "name one with --mesh-part, or fuse the parts to one closed mesh first"
+            "name one with --part, or fuse the parts to one closed mesh first"
         )
     return parsed.parts[0]
 
@@ -154,55 +201,6 @@ def _likely_unit(size: float) -> str:
         return "no common unit makes it plausible: check the export and name the unit"
     words = " or ".join(f"{UNIT_NAMES[unit]} ({size * UNIT_MM[unit]:.0f} mm)" for unit in likely)
     return f"the file may be in {words}: name the unit"
-
-
-def _one_component(
-    vertices: FloatArray, faces: IntArray, near: FloatArray | None
-) -> tuple[FloatArray, IntArray, tuple[int, int] | None]:
-    count, label = face_components(faces, edge_map(faces))
-    if count == 1:
-        return vertices, faces, None
-    kept = faces[label == choose_component(vertices, faces, label, near)]
-    used = np.unique(kept)
-    return vertices[used], np.searchsorted(used, kept), (count - 1, len(faces) - len(kept))
-
-
-def _closed(vertices: FloatArray, faces: IntArray, name: str) -> tuple[Surface, list[str]]:
-    edges = edge_map(faces)
-    faces, turned = orient(vertices, faces, edges, name)
-    notes = [f"{turned} faces looked the other way and were turned"] if turned else []
-    face_cap: IntArray = np.full(len(faces), -1, dtype=np.int64)
-    caps: tuple[Cap, ...] = ()
-    if (edges.count == 1).any():
-        # Fills follow the faces' sense, so the whole is turned outward before the caps' normals are taken.
-        loops = boundary_loops(faces, edges)
-        closing = close_loops(vertices, faces, loops, name)
-        if signed_volume(closing.vertices, closing.faces) < 0.0:
-            faces = faces[:, ::-1]
-            closing = close_loops(vertices, faces, [loop[::-1] for loop in loops], name)
-        vertices, faces, face_cap, caps = closing.vertices, closing.faces, closing.face_cap, closing.caps
-        notes += closing.notes
-        if caps:
-            named = ", ".join(f"{cap.label} ({cap.area:.1f} mm^2)" for cap in caps)
-            notes.append(
-                f"{len(caps)} open {'end was' if len(caps) == 1 else 'ends were'} closed by caps, which are not wall: {named}"
-            )
-    volume = signed_volume(vertices, faces)
-    if volume < 0.0:
-        faces, volume = faces[:, ::-1], -volume
-    corners = vertices[faces]
-    area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
-    if volume < 1e-4 * area**1.5:
-        raise SurfaceError(
-            f"{name}: the mesh encloses {volume:.3g} mm^3 within {area:.3g} mm^2 of faces; "
-            "it is a sheet, no tube: give a closed wall"
-        )
-    if not closed_and_oriented(faces).all():
-        raise SurfaceError(f"{name}: the mesh touches itself and cannot be closed two-sidedly; repair it in a mesh editor")
-    handles = 1 - (len(np.unique(faces)) - len(faces) // 2) // 2
-    if handles:
-        notes.append(f"the wall has {handles} handle(s), by a loop or an inner and an outer wall; a tube or tree has none")
-    return Surface(vertices, faces, face_cap, caps, "mesh"), notes
 
 
 def _facts(kind: str, unit: str, surface: Surface) -> dict[str, str]:
@@ -229,17 +227,17 @@ def inspect_mesh(path: str | Path, *, mesh_unit: str | None = None) -> dict[str,
     for part in parsed.parts:
         vertices, raw = merge_vertices(part.vertices, part.faces)
         faces, degenerate, repeated = clean_faces(raw)
-        edges = edge_map(faces)
+        edges = edge_map(faces) if len(faces) else None
         parts.append(
             {
                 "name": part.name,
                 "faces": len(part.faces),
                 "vertices": len(vertices),
-                "components": face_components(faces, edges)[0],
+                "components": 0 if edges is None else face_components(faces, edges)[0],
                 "degenerate_faces": degenerate,
                 "repeated_faces": repeated,
-                "open_edges": int((edges.count == 1).sum()),
-                "crowded_edges": int((edges.count > 2).sum()),
+                "open_edges": 0 if edges is None else int((edges.count == 1).sum()),
+                "crowded_edges": 0 if edges is None else int((edges.count > 2).sum()),
             }
         )
     points = np.concatenate([part.vertices for part in parsed.parts])
@@ -301,7 +299,7 @@ def read_ply(path: str | Path) -> Surface:
     Raises
     ------
     SurfaceError
-        If the file is not whole or was not written by this program.
+        If the file is not whole or is not as this program writes it.
     """
     path = Path(path)
     header, _, body = path.read_bytes().partition(b"end_header\n")
@@ -319,11 +317,16 @@ def read_ply(path: str | Path) -> Surface:
     rows = np.frombuffer(body, [("count", "u1"), ("corners", "<i4", 3)], m, 24 * n)
     faces = rows["corners"].astype(np.int64)
     caps, labels = [], []
-    for line in re.findall(r"^comment cap (.*)$", text, re.MULTILINE):
-        count, label, *rest = line.split(maxsplit=9)
-        numbers = [float(x) for x in rest[:7]]
-        caps.append(Cap(label, rest[7], np.array(numbers[:3]), np.array(numbers[3:6]), numbers[6]))
-        labels.append(np.full(int(count), len(caps) - 1, dtype=np.int64))
-    wall = m - sum(len(label) for label in labels)
-    face_cap = np.concatenate([np.full(wall, -1, dtype=np.int64), *labels])
-    return Surface(vertices, faces, face_cap, tuple(caps), frame[1])
+    try:
+        for line in re.findall(r"^comment cap (.*)$", text, re.MULTILINE):
+            count, label, *rest = line.split(maxsplit=9)
+            numbers = [float(x) for x in rest[:7]]
+            caps.append(Cap(label, rest[7], np.array(numbers[:3]), np.array(numbers[3:6]), numbers[6]))
+            labels.append(np.full(int(count), len(caps) - 1, dtype=np.int64))
+        wall = m - sum(len(label) for label in labels)
+        face_cap = np.concatenate([np.full(wall, -1, dtype=np.int64), *labels])
+        return Surface(vertices, faces, face_cap, tuple(caps), frame[1])
+    except (ValueError, IndexError) as fault:
+        raise SurfaceError(
+            f"{path.name}: its vertices or the lines of its caps are no longer as tubeplan wrote them ({fault}); write it again"
+        ) from fault

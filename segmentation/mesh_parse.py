@@ -1,8 +1,8 @@
 """Bytes of a mesh file to triangles, fail closed: STL, PLY, OBJ and GLB.
 
 trimesh returns an empty mesh for truncated, huge-count and random files and drops
-facets with NaN without a word, so STL is read here, and what trimesh reads of the
-other formats is checked against what the file declares.
+facets with NaN without a word, and misreads OBJ indices that count backwards, so STL and
+OBJ are read here, and what trimesh reads of PLY and GLB is checked against what the file declares.
 """
 
 from __future__ import annotations
@@ -48,12 +48,15 @@ class ParsedMesh:
         What the format says, or mm where it says nothing.
     comments : mapping of str to str
         Of a PLY that this program wrote.
+    doubts : tuple of str
+        What looks odd about the bytes, without the file's name.
     """
 
     format: str
     parts: tuple[MeshPart, ...]
     unit: str = "mm"
     comments: Mapping[str, str] = field(default_factory=dict)
+    doubts: tuple[str, ...] = ()
 
 
 def parse_mesh(path: Path) -> ParsedMesh:
@@ -97,7 +100,9 @@ def _parse_stl(data: bytes, name: str) -> ParsedMesh:
             raise SurfaceError(f"{name}: {count} triangles, expected at most {MAX_FACES}; reduce the mesh first")
         soup = np.frombuffer(data, STL_FACET, count, 84)["corners"].astype(np.float64).reshape(-1, 3)
         return ParsedMesh("binary STL", (_soup(name, soup),))
-    if data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
+    if b"\0" not in data and re.search(
+        rb"\bfacet\s+normal\b", data[: 1 << 16], re.IGNORECASE
+    ):  # comments may come before "solid"
         return _parse_stl_text(data, name)
     if count < 0:
         raise SurfaceError(f"{name}: {len(data)} bytes are too few for an STL file (84 at least), export the mesh again")
@@ -153,18 +158,51 @@ def _parse_ply(data: bytes, name: str) -> ParsedMesh:
         )
     words = [line.split(maxsplit=2) for line in header.splitlines() if line.startswith("comment ")]
     comments = {word[1]: word[2] if len(word) > 2 else "" for word in words if len(word) > 1 and word[1] != "cap"}
-    return ParsedMesh("PLY", (part,), comments=comments)
+    text = re.search(r"^format\s+ascii", header, re.MULTILINE) is not None
+    return ParsedMesh("PLY", (part,), comments=comments, doubts=_last_line(data) if text else ())
 
 
 def _parse_obj(data: bytes, name: str) -> ParsedMesh:
-    if not re.search(rb"^\s*v\s", data, re.MULTILINE) or not re.search(rb"^\s*f\s", data, re.MULTILINE):
+    # Strategy: lines that begin with v and f, all of them, since trimesh counts negative indices from the end of the
+    # file instead of from the face's own line, and leaves out what it does not understand. Groups in an OBJ share their
+    # vertices and are mostly pieces of one wall: they are taken together.
+    points: list[list[float]] = []
+    corners: list[tuple[int, int, int]] = []
+    text = data.decode("latin-1").replace("\\\r\n", "  ").replace("\\\n", " ")  # a backslash continues a line
+    for number, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1):
+        words = line.partition("#")[0].split()
+        if not words or words[0] not in ("v", "f"):
+            continue
+        try:
+            if words[0] == "v":
+                x, y, z = words[1:4]
+                points.append([float(x), float(y), float(z)])
+                continue
+            named = [int(word.partition("/")[0]) for word in words[1:]]
+            places = [index - 1 if index > 0 else len(points) + index for index in named]
+            first, second, *rest = places
+            if 0 in named or not rest or min(places) < 0:
+                raise ValueError
+        except ValueError as fault:
+            wanted = "three numbers" if words[0] == "v" else "three or more vertices, counted from 1 or backwards from -1"
+            raise SurfaceError(
+                f"{name}: line {number} of the OBJ reads {line.strip()[:60]!r}, expected {wanted} after {words[0]!r}; "
+                "export the mesh again"
+            ) from fault
+        for third in rest:
+            corners.append((first, second, third))
+            second = third
+    if not points or not corners:
         raise SurfaceError(f"{name}: no OBJ mesh (it holds no 'v' and 'f' lines); export the mesh again")
-    # Groups in an OBJ share their vertices and are mostly pieces of one wall: they are taken together.
-    lines = [line for line in data.splitlines() if line.lstrip()[:2] in (b"v ", b"f ", b"v\t", b"f\t")]
-    mesh = _with_trimesh(b"\n".join(lines) + b"\n", "obj", name)
-    return ParsedMesh(
-        "OBJ", (MeshPart(name, np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)),)
-    )
+    part = MeshPart(name, np.array(points, dtype=np.float64), np.array(corners, dtype=np.int64))
+    return ParsedMesh("OBJ", (part,), doubts=_last_line(data))
+
+
+def _last_line(data: bytes) -> tuple[str, ...]:
+    """A word about text that stops within a line: the number there may have lost digits, and lines after it may be missing."""
+    if data.endswith((b"\n", b"\r")):
+        return ()
+    return ("its last line has no end, so that the file may have been cut there: look at its open ends",)
 
 
 def _parse_glb(data: bytes, name: str) -> ParsedMesh:

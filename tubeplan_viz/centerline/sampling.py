@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray, IntArray
+from segmentation.errors import GeometryError
 from segmentation.mesh import Surface
 
 # Cell of the grid over the radius of the lumen beside it. Cells leave gaps of up to two cells between
@@ -22,6 +23,11 @@ SLACK = 0.8
 LEVEL = 2.0**0.5
 # Coarser than this the diagram is small already.
 ENOUGH = 1500
+# Rows and points this much nearer than the spacing leave no place of a face farther from one than in triangles whose edges are
+# as long as the spacing: half the diagonal of a square against the radius around such a triangle.
+CLOSER = 0.8
+# A tube needs some ten thousand samples, an airway with all its branches a few hundred thousand.
+WALL_POINTS_MAX = 3_000_000
 
 
 def wall_samples(surface: Surface, spacing: float) -> FloatArray:
@@ -35,7 +41,13 @@ def wall_samples(surface: Surface, spacing: float) -> FloatArray:
 
 
 def oriented_samples(surface: Surface, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """The points of `wall_samples` and the unit normals out of the lumen there, both (k, 3)."""
+    """The points of `wall_samples` and the unit normals out of the lumen there, both (k, 3).
+
+    Raises
+    ------
+    GeometryError
+        If the wall is so large against `spacing` that it cannot be a lumen's.
+    """
     wall = surface.face_cap < 0
     faces, normals = surface.faces[wall], surface.face_normals[wall]
     corners = surface.vertices[faces]  # (m, 3, 3)
@@ -45,29 +57,54 @@ def oriented_samples(surface: Surface, spacing: float) -> tuple[FloatArray, Floa
     )
     used = np.zeros(len(surface.vertices), dtype=bool)
     used[faces] = True
-    points, directions = [surface.vertices[used]], [sums[used]]
-    while len(corners):
-        square = np.zeros(len(corners))
-        for one, other in ((0, 1), (1, 2), (2, 0)):
-            edge = corners[:, one] - corners[:, other]
-            square = np.maximum(square, np.einsum("ij,ij->i", edge, edge))
-        long = square > spacing**2
-        corners, normals = corners[long], normals[long]
-        if not len(corners):
-            break
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
-        points.append(np.concatenate([ab, bc, ca]))
-        directions.append(np.tile(normals, (3, 1)))
-        corners = np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
-        normals = np.tile(normals, (4, 1))
-    if len(points) > 1:
-        added, leaning = np.concatenate(points[1:]), np.concatenate(directions[1:])
-        _, first = np.unique(np.round(added / 1e-4).astype(np.int64), axis=0, return_index=True)
-        points, directions = [points[0], added[first]], [directions[0], leaning[first]]
-    direction = np.concatenate(directions)
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    return np.concatenate(points), np.divide(direction, length, out=np.zeros_like(direction), where=length > 0.0)
+    # Rows of points along the longest edge, and points on all edges: a sliver gets as many as it is long, not their square.
+    step = CLOSER * spacing
+    half = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, first = np.unique(half.min(axis=1) * len(surface.vertices) + half.max(axis=1), return_index=True)
+    segments, leaning = surface.vertices[half[first]], normals[first // 3]
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    longest = lengths.argmax(axis=1)
+    rows = np.arange(len(corners))
+    a, b, c = (corners[rows, (longest + k) % 3] for k in range(3))
+    height = 2.0 * surface.face_areas[wall] / np.maximum(lengths.max(axis=1), 1e-300)
+    count = np.where(lengths.max(axis=1) > spacing, np.ceil(height / step), 1.0)
+    if (np.maximum(lengths.max(axis=1) / step, 1.0) * count).sum() > WALL_POINTS_MAX:
+        raise GeometryError(
+            f"the wall has {surface.face_areas[wall].sum():.3g} mm^2 around {surface.volume_ml:.3g} ml, too much for points "
+            f"{spacing:.2g} mm apart, which its narrowness asks for; a lumen is no such sheet: mend the mesh"
+        )
+    face, share = even_shares(count.astype(np.int64))
+    within = np.stack([a[face] + share * (c - a)[face], b[face] + share * (c - b)[face]], axis=1)
+    segments, leaning = np.concatenate([segments, within]), np.concatenate([leaning, normals[face]])
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    segment, share = even_shares(np.where(length > spacing, np.ceil(length / step), 1.0).astype(np.int64))
+    # The ends of a row within a face lie on edges, which have points of their own.
+    added = segments[segment, 0] + share * (segments[segment, 1] - segments[segment, 0])
+    direction = np.concatenate([sums[used], leaning[segment]])
+    norm = np.linalg.norm(direction, axis=1, keepdims=True)
+    points = np.concatenate([surface.vertices[used], added])
+    return points, np.divide(direction, norm, out=np.zeros_like(direction), where=norm > 0.0)
+
+
+def even_shares(count: IntArray) -> tuple[IntArray, FloatArray]:
+    """Shares of the way that cut each of several ways into `count` even pieces.
+
+    Returns
+    -------
+    way : (k,) int array
+        Which of them.
+    share : (k, 1) float array
+        Between 0 and 1, without either.
+
+    Examples
+    --------
+    >>> way, share = even_shares(np.array([1, 4, 2]))
+    >>> way.tolist(), share.ravel().tolist()
+    ([1, 1, 1, 2], [0.25, 0.5, 0.75, 0.5])
+    """
+    way = np.repeat(np.arange(len(count)), count - 1)
+    place = np.arange(len(way)) - np.repeat(np.cumsum(count - 1) - (count - 1), count - 1)
+    return way, ((place + 1) / count[way])[:, None]
 
 
 def thinned_samples(points: FloatArray, normals: FloatArray, tree: cKDTree, edge: float) -> IntArray:

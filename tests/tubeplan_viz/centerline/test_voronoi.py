@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.spatial import cKDTree
 
 from segmentation.errors import GeometryError
+from segmentation.mesh import Cap, Surface
 from tubeplan_viz.centerline import voronoi_graph
 from tubeplan_viz.centerline.sampling import wall_samples
 from tubeplan_viz.centerline.voronoi import circumspheres, mean_reciprocal
+from tubeplan_viz.geometry import WallDistance
 
 
 @pytest.mark.parametrize("name", ["swept", "structured", "marching cubes", "junction"])
@@ -70,3 +74,31 @@ def test_wall_samples_without_an_inscribed_sphere_are_refused(prepared: Callable
     elsewhere = np.random.default_rng(6).normal(0.0, 1.0, (50, 3)) + np.array([0.0, 9000.0, 0.0])
     with pytest.raises(GeometryError, match=f"no inscribed sphere found among {len(elsewhere)} wall points; .* refine it"):
         voronoi_graph(case.model.surface, case.wall, points=elsewhere)
+
+
+def test_samples_of_slivers_grow_with_their_length_and_leave_no_place_far_from_one() -> None:
+    # A tube of 48 faces, 400 mm long and 0.8 mm wide each, as a drawing program makes it.
+    turn = 2.0 * np.pi * np.arange(24) / 24
+    ring = 3.0 * np.column_stack([np.cos(turn), np.sin(turn)])
+    vertices = np.concatenate([np.column_stack([ring, np.full(24, z)]) for z in (0.0, 400.0)])
+    j, k = np.arange(24), (np.arange(24) + 1) % 24
+    sides = np.concatenate([np.column_stack([j, k, k + 24]), np.column_stack([j, k + 24, j + 24])])
+    fans = [np.column_stack([np.zeros(22, int), j[2:], j[1:-1]]), np.column_stack([np.full(22, 24), j[1:-1] + 24, j[2:] + 24])]
+    faces = np.concatenate([sides, *fans])
+    face_cap = np.repeat([-1, 0], [48, 44])
+    surface = Surface(vertices, faces, face_cap, (Cap("C1", "flat end", np.zeros(3), np.array([0.0, 0.0, -1.0]), 1.0),), "mesh")
+    spacing = 1.0
+    points = wall_samples(surface, spacing)
+    # 48 edges along the tube, half of them diagonals; 2.5 times as many as at the full spacing at most.
+    assert 48 * 400 < len(points) < 2.5 * 48 * 400
+    share = np.random.default_rng(2).dirichlet(np.ones(3), 48 * 100)
+    asked = np.einsum("nk,nkx->nx", share, vertices[np.repeat(sides, 100, axis=0)])
+    # The radius around an equilateral triangle whose edges are as long as the spacing.
+    assert cKDTree(points).query(asked)[0].max() <= spacing / np.sqrt(3.0)
+
+
+def test_a_sheet_is_refused_before_it_fills_the_memory(phantoms: ModuleType) -> None:
+    vertices, faces = phantoms.box((0.0, 0.0, 0.0), (1900.0, 1900.0, 1.0))
+    surface = Surface(vertices, faces, np.full(12, -1), (), "mesh")
+    with pytest.raises(GeometryError, match="a lumen is no such sheet"):
+        voronoi_graph(surface, WallDistance(surface))
