@@ -155,12 +155,12 @@ def _check_unchanged(surface: Surface, name: str) -> None:
     """
     size = float(np.ptp(surface.vertices, axis=0).max())
     fault = None
-    if not closed_and_oriented(surface.faces).all():
+    if size > LARGEST_MM or float(np.abs(surface.vertices).max()) > FARTHEST_MM:
+        fault = f"it is {size:.4g} mm long"
+    elif not closed_and_oriented(surface.faces).all():
         fault = "its wall is not closed"
     elif signed_volume(surface.vertices, surface.faces) <= 0.0:
         fault = "its faces look inward"
-    elif size > LARGEST_MM or float(np.abs(surface.vertices).max()) > FARTHEST_MM:
-        fault = f"it is {size:.4g} mm long"
     for index, cap in enumerate(surface.caps):
         corners = surface.vertices[surface.faces[surface.face_cap == index]]
         vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
