@@ -13,7 +13,7 @@ import numpy as np
 from segmentation.errors import CaseError
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
-from tubeplan_viz.cases.fields import check_keys, number, point, subtable, text, whole
+from tubeplan_viz.cases.fields import check_keys, number, point, seed, subtable, text, whole
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 from tubeplan_viz.cases.writing import case_file, in_unit_of, written
 
@@ -123,7 +123,7 @@ def make_bronchoscope_case(table: Mapping[str, Any], *, folder: Path | None = No
         lesion=None if lesion is None else point(lesion, f"{name} [planner] lesion"),
         curvature_max=number(limits.get("curvature_max", track_curvature(method, robot)), f"{name} [limits] curvature_max"),
         clearance_min=number(limits.get("clearance_min", TIP_RADII[method] * robot.radius), f"{name} [limits] clearance_min"),
-        rng_seed=whole(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
+        rng_seed=seed(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
         time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
         robot=robot,
         settings=PlannerSettings(**parts["settings"]),

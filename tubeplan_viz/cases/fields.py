@@ -72,6 +72,14 @@ def whole(value: Any, where: str) -> int:
     return int(found)
 
 
+def seed(value: Any, where: str) -> int:
+    """A value that must be a seed of randomness: a whole number from 0 on."""
+    found = whole(value, where)
+    if found < 0:
+        raise CaseError(f"{where}: found {found}, expected 0 or more")
+    return found
+
+
 def point(value: Any, where: str) -> tuple[float, float, float]:
     """Three finite numbers, from a list or from text ``X,Y,Z``."""
     if isinstance(value, str):

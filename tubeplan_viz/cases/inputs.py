@@ -13,6 +13,9 @@ from tubeplan_viz.cases.writing import shown_path
 
 HuLimit = float | str | None
 
+# What only one kind of input has; the other would leave it aside without a word.
+OF_A_CT = ("series", "seed_point", "hu_min", "hu_max", "smoothing_mm")
+OF_A_MESH = ("mesh_unit", "part")
 ANATOMIES = ("airway", "urinary", "vessel", "generic")
 
 
@@ -48,6 +51,10 @@ class InputCase:
             raise CaseError(f"connectivity is {self.connectivity}, expected 6 or 26")
         if self.smoothing_mm is not None and not 0 <= self.smoothing_mm <= 10:
             raise CaseError(f"smoothing_mm is {self.smoothing_mm:g}, expected 0 to 10")
+        given, foreign = ("CT", OF_A_MESH) if self.mesh is None else ("mesh", OF_A_CT)
+        idle = next((name for name in foreign if getattr(self, name) is not None), None)
+        if idle is not None:
+            raise CaseError(f"{idle} was given, which says nothing about a {given}; leave it out")
 
 
 def input_case(table: Mapping[str, Any], *, folder: Path | None, name: str) -> InputCase:

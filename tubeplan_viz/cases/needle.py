@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text
+from tubeplan_viz.cases.fields import check_keys, located, number, point, seed, subtable, text
 from tubeplan_viz.cases.needle_rows import (
     HU_KEYS,
     MONTE_CARLO_KEYS,
@@ -152,7 +152,7 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
         direction=point(places["direction"], f"{name} direction") if "direction" in places else (0.0, 0.0, 1.0),
         case_id=text(given["case_id"], f"{name} [input] case_id") if "case_id" in given else None,
         frame=frame,
-        rng_seed=int(number(planner.get("rng_seed", 0), f"{name} [planner] rng_seed")),
+        rng_seed=seed(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
         time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
         obstacles=tuple(obstacle_case(row, flat, folder, f"{name} [[obstacles]] {k + 1}") for k, row in enumerate(bodies)),
         events=tuple(event_case(row, f"{name} [[events]] {k + 1}") for k, row in enumerate(table.get("events", []))),

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, read_table, text
+from tubeplan_viz.cases.fields import check_keys, located, number, point, read_table, text, whole
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 
 FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
@@ -116,7 +116,7 @@ def event_case(row: Any, where: str) -> EventCase:
         raise CaseError(f"{where}: an event needs at_mm")
     return EventCase(
         at_mm=number(row["at_mm"], f"{where} at_mm"),
-        obstacle=int(number(row["obstacle"], f"{where} obstacle")) if "obstacle" in row else None,
+        obstacle=whole(row["obstacle"], f"{where} obstacle") if "obstacle" in row else None,
         center=point(row["center"], f"{where} center") if "center" in row else None,
         target=point(row["target"], f"{where} target") if "target" in row else None,
         kappa=number(row["kappa"], f"{where} kappa") if "kappa" in row else None,

@@ -16,6 +16,7 @@ from tubeplan_viz.cases.fields import (
     number,
     point,
     read_table,
+    seed,
     subtable,
     text,
     whole,
@@ -69,6 +70,11 @@ class Case:
     optimal: OptimalSettings = field(default_factory=OptimalSettings)
     centerline: CenterlineSettings = field(default_factory=CenterlineSettings)
     measures: MeasureCase = field(default_factory=MeasureCase)
+
+    def __post_init__(self) -> None:
+        settings, aim = self.tube_settings, self.optimal.objective
+        if settings.method != "optimal" and aim != OptimalSettings().objective:
+            raise CaseError(f"objective is {aim!r}, which is for --method optimal; {settings.method} has none, leave it out")
 
     @property
     def tube_settings(self) -> TubeSettings:
@@ -136,7 +142,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         if key in planner:
             planner[key] = text(planner[key], f"{name} [planner] {key}")
     if "rng_seed" in planner:
-        planner["rng_seed"] = whole(planner["rng_seed"], f"{name} [planner] rng_seed")
+        planner["rng_seed"] = seed(planner["rng_seed"], f"{name} [planner] rng_seed")
     if not isinstance(planner.get("closed_ends", False), bool):
         raise CaseError(f"{name} [planner] closed_ends: found {planner['closed_ends']!r}, expected true or false")
     if planner.get("time_budget") is not None:

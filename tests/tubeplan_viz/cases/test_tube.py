@@ -38,6 +38,9 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"input": {**MESH, "connectivity": 8}}, "connectivity is 8, expected 6 or 26"),
     ({"input": {**MESH, "connectivity": "6"}}, r"\[input\] connectivity: found '6', expected a whole number"),
     ({"input": {**MESH, "smoothing_mm": -1}}, "smoothing_mm is -1, expected 0 to 10"),
+    ({"input": {**MESH, "seed_point": [1, 2, 3]}}, "seed_point was given, which says nothing about a mesh; leave it out"),
+    ({"input": {**MESH, "hu_max": "auto"}}, "hu_max was given, which says nothing about a mesh"),
+    ({"input": {"ct": "chest", "mesh_unit": "cm"}}, "mesh_unit was given, which says nothing about a CT"),
     ({"input": {**MESH, "smoothing_mm": "much"}}, r"\[input\] smoothing_mm: found 'much', expected a finite number"),
     ({"input": {**MESH, "hu_min": "low"}}, r"\[input\] hu_min: found 'low', expected a number in HU or \"auto\""),
     ({"input": {**MESH, "hu_max": True}}, r"\[input\] hu_max: found True, expected a number"),
@@ -58,6 +61,12 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"input": MESH, "planner": {"goal": [1, 2, float("inf")]}}, r"\[planner\] goal: found inf, expected a finite number"),
     ({"input": MESH, "planner": {"time_budget": 0}}, "time_budget is 0 s, expected more than 0"),
     ({"input": MESH, "planner": {"rng_seed": 1.5}}, r"\[planner\] rng_seed: found 1\.5, expected a whole number"),
+    ({"input": MESH, "planner": {"rng_seed": -1}}, r"\[planner\] rng_seed: found -1, expected 0 or more"),
+    ({"input": MESH, "planner": {"method": "magic"}}, "no method 'magic'"),
+    (
+        {"input": MESH, "planner": {"method": "feature_iteration"}, "tube": {"objective": "length"}},
+        "objective is 'length', which is for --method optimal; feature_iteration has none",
+    ),
     ({"input": MESH, "planner": {"closed_ends": "yes"}}, r"\[planner\] closed_ends: found 'yes', expected true or false"),
     ({"input": MESH, "tube": {"sigma": "slow"}}, r"\[tube\] sigma: found 'slow', expected a finite number"),
     ({"input": MESH, "tube": {"sigma": 2}}, "sigma is 2"),
@@ -80,11 +89,6 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 def test_what_cannot_be_is_refused_by_name(table: dict[str, Any], message: str) -> None:
     with pytest.raises(CaseError, match=message):
         make_case(table, name="case.toml")
-
-
-def test_an_unknown_method_is_refused() -> None:
-    with pytest.raises(CaseError, match="no method 'magic'"):
-        _ = make_case({"input": MESH, "planner": {"method": "magic"}}).tube_settings
 
 
 @pytest.mark.parametrize("given", ["e3", " E3 "])
