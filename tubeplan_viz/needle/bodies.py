@@ -6,12 +6,14 @@ Spheres and polygons also have closed formulas against arcs and lines.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from segmentation.arrays import FloatArray, frozen_array
+from segmentation.arrays import FloatArray, IntArray, frozen_array
 from segmentation.errors import CaseError
 from segmentation.mesh import Surface
 from segmentation.volume import Volume
@@ -20,6 +22,8 @@ from tubeplan_viz.needle.arc_distance import STRAIGHT, angle_on, arc_distance, o
 from tubeplan_viz.needle.kinematics import Arcs
 
 ROUNDING = 1e-9  # mm by which a crossing may lie beyond an edge's ends
+FINE_VOXELS = 8_000_000  # of a label volume whose field has half its spacing: 64 million values, 1.5 GB while it is made
+NEIGHBOURS = 16  # voxels among which the nearest box usually is
 
 
 class Obstacle(Protocol):
@@ -157,12 +161,12 @@ class MeshObstacle:
 
 
 class MaskObstacle:
-    """The voxels of a label volume.
+    """The voxels of a label volume, each a box.
 
-    Between voxel centres the distance field is interpolated. Each of its values is a distance
-    between centres, off from that to the voxel's box by half a diagonal at most, and the interpolation
-    adds at most half a diagonal: `bound` is one diagonal, and `distance` is less by so much, never more than the
-    true distance.
+    `exact` asks the boxes themselves; a search asks the interpolated field of `distance`. Every value of the field is the
+    distance to the nearest box, on a grid of half the voxels' spacing (for volumes over `FINE_VOXELS` it is that between voxel
+    centres, off by half a diagonal). A distance changes by no more than the way walked, so interpolation adds half a
+    diagonal of the field's cells at most; `bound` is what both add, and `distance` is less by so much.
 
     Parameters
     ----------
@@ -176,26 +180,62 @@ class MaskObstacle:
         inside = np.asarray(mask.voxels) > 0
         if not inside.any():
             raise CaseError("a mask obstacle has no voxel above 0; expected a label volume in which the obstacle is marked")
-        spacing = tuple(float(step) for step in mask.spacing)
         self.volume = mask
-        self.bound = float(np.linalg.norm(spacing))
-        outside = ndimage.distance_transform_edt(~inside, sampling=spacing)
-        within = ndimage.distance_transform_edt(inside, sampling=spacing)
+        spacing = np.asarray(mask.spacing)
+        self._halves = 2 if inside.size <= FINE_VOXELS else 1
+        step = spacing / self._halves
+        diagonal = float(np.linalg.norm(step))
+        self.bound = 0.5 * diagonal if self._halves == 2 else diagonal
+        boxes = inside
+        if self._halves == 2:  # voxel i takes the places 2 i to 2 i + 2: its faces and its middle
+            boxes = np.zeros(2 * np.array(inside.shape) + 1, dtype=bool)
+            for shift in np.ndindex(3, 3, 3):
+                boxes[tuple(slice(o, o + 2 * n, 2) for o, n in zip(shift, inside.shape, strict=True))] |= inside
+        outside = ndimage.distance_transform_edt(~boxes, sampling=tuple(step))
+        within = ndimage.distance_transform_edt(boxes, sampling=tuple(step))
         self._field = np.asarray(outside - within, dtype=np.float32)
 
     def rim(self) -> FloatArray:
         """Centres, mm, (k, 3), of the obstacle's voxels that touch another one."""
+        return self.volume.to_lps(self._rim_indices)
+
+    @cached_property
+    def _rim_indices(self) -> IntArray:
         inside = np.asarray(self.volume.voxels) > 0
-        return self.volume.to_lps(np.argwhere(inside & ~ndimage.binary_erosion(inside)))
+        return np.argwhere(inside & ~ndimage.binary_erosion(inside))
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self._rim_indices * np.asarray(self.volume.spacing))
+
+    def exact(self, points: FloatArray) -> FloatArray:
+        """Signed distance, mm, of (..., 3) points to the voxels' boxes; within them the field's."""
+        flat = points.reshape(-1, 3)
+        spacing = np.asarray(self.volume.spacing)
+        here = self.volume.to_index(flat) * spacing
+        centers: FloatArray = self._tree.data
+        count = min(NEIGHBOURS, len(centers))
+        far, near = self._tree.query(here, k=list(range(1, count + 1)))
+        gaps = np.linalg.norm(np.maximum(np.abs(centers[near] - here[:, None]) - 0.5 * spacing, 0.0), axis=-1).min(axis=1)
+        # A box is nearer than its centre by half a diagonal at most: where that leaves a doubt, all that could be nearest.
+        reach = gaps + 0.5 * float(np.linalg.norm(spacing))
+        for k in np.flatnonzero(far[:, -1] < reach) if count < len(centers) else ():
+            boxes = centers[self._tree.query_ball_point(here[k], reach[k])]
+            gaps[k] = np.linalg.norm(np.maximum(np.abs(boxes - here[k]) - 0.5 * spacing, 0.0), axis=1).min()
+        index = np.rint(here / spacing).astype(int)
+        held = np.clip(index, 0, np.array(self.volume.voxels.shape) - 1)
+        deep = (np.asarray(self.volume.voxels)[tuple(held.T)] > 0) & (held == index).all(axis=1)
+        gaps[deep] = np.minimum(self.distance(flat[deep]), 0.0)
+        return np.asarray(gaps.reshape(points.shape[:-1]))
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Signed distance, mm, less its error bound; outside the volume that of the nearest voxel within, plus the way to it."""
         flat = points.reshape(-1, 3)
-        index = self.volume.to_index(flat)
-        last = np.array(self._field.shape) - 1.0
-        held = np.clip(index, 0.0, last)
+        spacing = np.asarray(self.volume.spacing)
+        place = self._halves * self.volume.to_index(flat) + (self._halves - 1)
+        held = np.clip(place, 0.0, np.array(self._field.shape) - 1.0)
         value = ndimage.map_coordinates(self._field, held.T, order=1, mode="nearest").astype(float)
-        beyond = np.linalg.norm((index - held) * np.asarray(self.volume.spacing), axis=1)
+        beyond = np.linalg.norm((place - held) * spacing / self._halves, axis=1)
         # Beyond the volume's faces nothing is known; the obstacle is taken to end with the image.
         return np.asarray(np.maximum(value - self.bound, beyond - self.bound) if beyond.any() else value - self.bound).reshape(
             points.shape[:-1]
@@ -223,6 +263,11 @@ def segment_distance(points: FloatArray, first: FloatArray, second: FloatArray) 
     return np.asarray(np.linalg.norm(off - share[..., None] * way, axis=-1))
 
 
+def exact_distance(body: Obstacle, points: FloatArray) -> FloatArray:
+    """Signed distance, mm, of (..., 3) points to a body, without what a label volume's field keeps back for its error bound."""
+    return body.exact(points) if isinstance(body, MaskObstacle) else body.distance(points)
+
+
 def body_distance(body: Obstacle, points: FloatArray) -> FloatArray:
-    """Signed distance, mm, to a body, without what a label volume's keeps back for its error bound: for drawing."""
+    """As `exact_distance`, to the field's bound: for drawing, on many points."""
     return body.distance(points) + (body.bound if isinstance(body, MaskObstacle) else 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray, IntArray
 from tubeplan_viz.needle.arc_distance import arc_distance
-from tubeplan_viz.needle.bodies import Obstacle, Polygon, Sphere, body_distance
+from tubeplan_viz.needle.bodies import Obstacle, Polygon, Sphere, body_distance, exact_distance
 from tubeplan_viz.needle.kinematics import Arcs, chord
 
 
@@ -62,7 +62,7 @@ class Scene:
         """Signed distance, mm, of (k, 3) points to the nearest obstacle, (k,); infinite without obstacles."""
         if not self.obstacles:
             return np.full(points.shape[:-1], np.inf)
-        return np.asarray(np.min([body.distance(points) for body in self.obstacles], axis=0))
+        return np.asarray(np.min([exact_distance(body, points) for body in self.obstacles], axis=0))
 
     def body_distances(self, points: FloatArray) -> FloatArray:
         """As `distances`, for drawing: without what a label volume's distance keeps back for its error bound."""
@@ -105,7 +105,7 @@ class Scene:
     @staticmethod
     def _at(arcs: Arcs, body: Obstacle, piece: IntArray, place: FloatArray) -> FloatArray:
         forward, aside = (np.asarray(v)[:, None] for v in chord(place, arcs.curvatures[piece]))
-        return body.distance(arcs.starts[piece] + forward * arcs.tangents[piece] + aside * arcs.normals[piece])
+        return exact_distance(body, arcs.starts[piece] + forward * arcs.tangents[piece] + aside * arcs.normals[piece])
 
 
 def danger(distances: FloatArray, safety: float, *, factor: float = 1.0) -> FloatArray:
