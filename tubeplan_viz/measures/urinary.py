@@ -1,8 +1,7 @@
 """Measures of a collecting system: infundibulopelvic angle, infundibular length and width, diameters."""
 
-# Strategy: the pelvis is what balls nearly as large as the largest in the lumen reach. The way from the ureter to each
-# calyx leaves it for good at the lip of the pelvis; ways that leave it on the same branch share an infundibulum, which
-# goes on to where they part. Everything else is a length, a direction or a cross-section along these ways.
+# Strategy: the parts are those of `collecting_system`. Every measure is a length, a direction or a cross-section along the
+# ways through them.
 
 from __future__ import annotations
 
@@ -12,15 +11,15 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
-from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
-from tubeplan_viz.measures.balls import WidePart, wide_part
-from tubeplan_viz.measures.ends import Rim, calyx_bottoms
+from tubeplan_viz.centerline import Centerline
+from tubeplan_viz.measures.collecting_system import Infundibulum, collecting_system, urinary_parts
+from tubeplan_viz.measures.ends import calyx_bottoms
 from tubeplan_viz.measures.lines import Lumen, angle_between, fitted_direction, place
 from tubeplan_viz.measures.measure import Drawing, Measure, lacking
 from tubeplan_viz.measures.outward import OutwardWall
+from tubeplan_viz.measures.parts import Part
 
 AXIS_LEAST_MM = 8.0  # a shorter stretch of middle line gives no sure direction
-JUNCTION_SEARCH_MM = 15.0
 NARROW_RUN = 5  # sections, 2 mm: the narrowest place is that of their running median, not the noise of one section
 URETER_SKIP_MM = 2.0  # beside the ureter's cut end a cross-section may meet the cap
 CORONAL = np.array([1.0, 0.0, 1.0])  # seen from the front: left and up remain
@@ -50,69 +49,29 @@ class UrinarySettings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Infundibulum:
-    """The way from the pelvis to one or more calyces.
-
-    Attributes
-    ----------
-    name : str
-        "upper", "middle" or "lower" with a number where there are several; "1", "2", ... in the axes of a mesh.
-    targets : tuple of int
-        Of the tree, one for each calyx.
-    lip : float, mm
-        Arc length on the ways at which they leave the pelvis.
-    end : float, mm
-        Arc length at which the ways part; at the widest place of the calyx where there is but one.
-    """
-
-    name: str
-    targets: tuple[int, ...]
-    lip: float
-    end: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class UrinaryMeasures:
     """All measures of a collecting system, and what scores and drawings take from it."""
 
     measures: tuple[Measure, ...]
     infundibula: tuple[Infundibulum, ...]
     drawing: Drawing
-
-
-def ureter_root(tree: CenterlineTree, labels: tuple[str, ...], root: str) -> str:
-    """Label of the tip at the ureter's end: that of the longest branch without side branches."""
-    if not tree.branches:
-        return root
-    ends = {root: tree.branches[0].length}
-    for target, number in enumerate(tree.last_branch.tolist()):
-        if number > 0:
-            ends[labels[target]] = tree.branches[number].length
-    return max(ends, key=lambda label: ends[label])
+    parts: tuple[Part, ...]
 
 
 def urinary_measures(lumen: Lumen, settings: UrinarySettings) -> UrinaryMeasures:
     """Measure a collecting system whose tree begins at the ureter's end."""
-    lines = [lumen.tree.path(target) for target in range(len(lumen.labels))]
-    ways = {target: line for target, line in enumerate(lines) if line is not None}
-    widest = max(ways, key=lambda target: float(ways[target].radii.max()))
-    at = int(ways[widest].radii.argmax())
-    pelvis = wide_part(lumen.wall, ways[widest].points[at], float(ways[widest].radii[at]))
-    center, wall = pelvis.center, OutwardWall(lumen.wall.surface)
-    rim = Rim(pelvis, wall, lumen)
-    margin, blur = rim.margin()
-    radius = pelvis.largest + margin
-    trunk = Centerline(ways[widest].points[: at + 1], ways[widest].radii[: at + 1]) if at > 0 else None
-    measures = [Measure(key="pelvis_diameter_mm", value=2.0 * radius)]
-    measures += ureter_measures(lumen, trunk, radius)
+    wall = OutwardWall(lumen.wall.surface)
+    system = collecting_system(lumen, wall)
+    ways, infundibula, trunk, center = system.ways, system.infundibula, system.trunk, system.pelvis.center
+    measures = [Measure(key="pelvis_diameter_mm", value=2.0 * system.radius)]
+    measures += ureter_measures(lumen, trunk, system.junction)
     level = ureter_place(trunk, center, settings.ureter_level)
-    infundibula = find_infundibula(lumen, ways, pelvis, rim)
     drawn_lines = {f"way to {lumen.labels[target]}": line.points for target, line in ways.items()}
     drawn_points = {"pelvis": center}
     if level is not None:
         drawn_points["ureter level"] = level
     lips = {target: place(ways[target], one.lip) for one in infundibula for target in one.targets}
-    bottoms = calyx_bottoms(lumen, ways, lips, wall, blur)
+    bottoms = calyx_bottoms(lumen, ways, lips, wall, system.blur)
     for infundibulum in infundibula:
         of = f"{infundibulum.name} infundibulum"
         way = ways[longest_way(infundibulum, ways)]
@@ -128,84 +87,11 @@ def urinary_measures(lumen: Lumen, settings: UrinarySettings) -> UrinaryMeasures
             if target in bottoms:
                 drawn_points[f"bottom of {lumen.labels[target]}"] = bottoms[target]
     return UrinaryMeasures(
-        measures=tuple(measures), infundibula=infundibula, drawing=Drawing(lines=drawn_lines, points=drawn_points)
+        measures=tuple(measures),
+        infundibula=infundibula,
+        drawing=Drawing(lines=drawn_lines, points=drawn_points),
+        parts=urinary_parts(lumen, system),
     )
-
-
-def find_infundibula(lumen: Lumen, ways: dict[int, Centerline], pelvis: WidePart, rim: Rim) -> tuple[Infundibulum, ...]:
-    """Group the ways by the branch on which they leave the pelvis, and name the groups from above.
-
-    Parameters
-    ----------
-    pelvis : WidePart
-    rim : Rim
-        Where its edge is.
-    """
-    groups: dict[int, list[int]] = {}
-    lips: dict[int, float] = {}
-    for target, line in ways.items():
-        level = pelvis.level(line.points)
-        inside = np.flatnonzero(level <= 0.0)
-        if not len(inside) or inside[-1] == len(line.points) - 1:
-            continue  # leaves the ureter before the pelvis, or is a bulge of the pelvis
-        k = int(inside[-1])
-        level -= rim.margin(line.points[k])[0]
-        inside = np.flatnonzero(level <= 0.0)
-        k = min(int(inside[-1]) if len(inside) else k, len(level) - 2)
-        share = float(np.clip(level[k] / (level[k] - level[k + 1]), 0.0, 1.0))
-        lips[target] = float(line.arc_length[k] + share * (line.arc_length[k + 1] - line.arc_length[k]))
-        groups.setdefault(branch_at(lumen.tree, target, lips[target]), []).append(target)
-    found = []
-    for number, targets in groups.items():
-        end = branch_end(lumen.tree, number)
-        if len(targets) == 1:
-            line = ways[targets[0]]
-            distal = line.arc_length >= 0.5 * (lips[targets[0]] + line.arc_length[-1])
-            end = float(line.arc_length[distal][line.radii[distal].argmax()])
-        tips = np.array([ways[target].points[-1] for target in targets])
-        found.append((float(tips[:, 2].mean()), tuple(targets), lips[targets[0]], end))
-    found.sort(key=lambda group: -group[0])
-    names = group_names(len(found)) if lumen.frame == "LPS" else [str(k + 1) for k in range(len(found))]
-    return tuple(
-        Infundibulum(name=name, targets=targets, lip=lip, end=max(end, lip))
-        for name, (_, targets, lip, end) in zip(names, found, strict=True)
-    )
-
-
-def group_names(count: int) -> list[str]:
-    """Names of infundibula from above; a single one has no other to be above of."""
-    if count < 2:
-        return ["only"][:count]
-    middle = ["middle"] if count == 3 else [f"middle {k + 1}" for k in range(count - 2)]
-    return ["upper", *middle, "lower"]
-
-
-def branches_to(tree: CenterlineTree, target: int) -> list[int]:
-    """Numbers of the branches from the root to a target."""
-    numbers = [int(tree.last_branch[target])]
-    while tree.branches[numbers[-1]].parent >= 0:
-        numbers.append(tree.branches[numbers[-1]].parent)
-    return numbers[::-1]
-
-
-def branch_at(tree: CenterlineTree, target: int, s: float) -> int:
-    """Number of the branch on the way to a target at an arc length."""
-    reached = 0.0
-    for number in branches_to(tree, target):
-        reached += tree.branches[number].length
-        if s < reached:
-            return number
-    return int(tree.last_branch[target])
-
-
-def branch_end(tree: CenterlineTree, number: int) -> float:
-    """Arc length from the root at which a branch ends."""
-    branch: Branch | None = tree.branches[number]
-    length = 0.0
-    while branch is not None:
-        length += branch.length
-        branch = tree.branches[branch.parent] if branch.parent >= 0 else None
-    return length
 
 
 def longest_way(infundibulum: Infundibulum, ways: dict[int, Centerline]) -> int:
@@ -289,16 +175,11 @@ def calyx_measures(
     return [*made, Measure(key="calyx_diameter_mm", of=of, value=float(widths.max()))]
 
 
-def ureter_measures(lumen: Lumen, trunk: Centerline | None, radius: float) -> list[Measure]:
+def ureter_measures(lumen: Lumen, trunk: Centerline | None, junction: float | None) -> list[Measure]:
     """Mean and least diameter from the ureter's end to the ureteropelvic junction."""
     keys = ("ureter_diameter_mean_mm", "ureter_diameter_min_mm")
-    narrow = np.flatnonzero(trunk.radii <= 0.5 * radius) if trunk is not None else np.empty(0)
-    if trunk is None or not len(narrow):
+    if trunk is None or junction is None:
         return lacking("the image shows no ureter below the pelvis", *keys)
-    s = trunk.arc_length
-    # The junction is the narrowest place just before the lumen widens into the pelvis.
-    before = np.flatnonzero((s <= s[narrow[-1]]) & (s >= s[narrow[-1]] - JUNCTION_SEARCH_MM))
-    junction = float(s[before[trunk.radii[before].argmin()]])
     diameters = lumen.diameters(trunk, URETER_SKIP_MM, junction)
     if not len(diameters):
         return lacking("no cross-section of the ureter has a closed outline in the mesh and a wall in the CT", *keys)

@@ -16,14 +16,12 @@ from segmentation.volume import Volume
 from segmentation.volume_files import read_volume_file
 from tubeplan_viz.cases.measures import MeasureCase
 from tubeplan_viz.centerline import CenterlineSettings
-from tubeplan_viz.geometry.section import SurfaceSections
 from tubeplan_viz.measures import (
     DEFINITIONS,
-    CtSections,
     Drawing,
     Lumen,
     Measure,
-    PlainSections,
+    Part,
     UrinaryMeasures,
     UrinarySettings,
     airway_measures,
@@ -34,10 +32,10 @@ from tubeplan_viz.measures import (
     stone_facts,
     stone_measures,
     structure_measures,
-    ureter_root,
     urinary_measures,
 )
-from tubeplan_viz.pipeline.tree import Branching, Tree, branches_from_end
+from tubeplan_viz.pipeline.parts import airway_lumen, airway_parts, urinary_lumen
+from tubeplan_viz.pipeline.tree import Branching, Tree
 
 URINARY = ("infundibulopelvic_angle_deg", "infundibular_length_mm", "infundibular_width_mm", "ureter_diameter_mean_mm")
 AIRWAY = ("trachea_diameter_mm", "carinal_angle_deg", "branch_diameter_mm", "branch_angle_deg")
@@ -45,10 +43,12 @@ AIRWAY = ("trachea_diameter_mm", "carinal_angle_deg", "branch_diameter_mm", "bra
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measured:
-    """What the measures add to a run: `details` for result.json and the files that were read, as (name, sha256)."""
+    """What the measures add to a run: `details` for result.json, the files that were read, as (name, sha256), and the
+    anatomy's parts by name, none where they are not known."""
 
     details: Mapping[str, Any]
     inputs: tuple[tuple[str, str], ...]
+    parts: tuple[Part, ...] = ()
 
 
 def measure_run(
@@ -90,12 +90,14 @@ def measure_run(
     s, points = np.asarray(path["s_mm"]), np.asarray(path["points_mm"])
     measures = path_measures(s, points, np.asarray(path["curvature_per_mm"]), curvature_max, sharpest_at=sharpest_at)
     lumen, urinary, drawing = None, None, None
+    parts: tuple[Part, ...] = ()
     if anatomy == "urinary":
         lumen, urinary = measured_urinary(tree, case, volume, settings, grown)
         measures += lacking("the lumen has no branches", *URINARY) if urinary is None else urinary.measures
-        drawing = None if urinary is None else urinary.drawing
+        if urinary is not None:
+            drawing, parts = urinary.drawing, urinary.parts
     elif anatomy == "airway":
-        found, drawing = measured_airway(tree, volume, settings, grown)
+        found, drawing, parts = measured_airway(tree, volume, settings, grown)
         measures += lacking("the lumen has no branches", *AIRWAY) if drawing is None else found
     inputs: list[tuple[str, str]] = []
     stones = read_stones(case, volume, inputs)
@@ -109,7 +111,7 @@ def measure_run(
     if anatomy == "urinary" and stones:
         facts = stone_facts(stones, lumen, urinary, abnormal=case.abnormal_anatomy)
         scores = [score(facts).details() for score in (russ, rirs)]
-    return Measured(details=details_of(measures, scores, drawing), inputs=tuple(inputs))
+    return Measured(details=details_of(measures, scores, drawing), inputs=tuple(inputs), parts=parts)
 
 
 def details_of(measures: list[Measure], scores: list[dict[str, Any]], drawing: Drawing | None) -> dict[str, Any]:
@@ -135,38 +137,18 @@ def measured_urinary(
     """The collecting system measured from the ureter's end; None for a lumen with fewer than three tips."""
     if len(tree.endpoints) < 3:
         return None, None
-    # Which end is the ureter's does not hang on the end that the branches are followed from: those at hand tell it too.
-    first = (
-        grown if grown is not None and grown.joins_ends else branches_from_end(tree, tree.endpoints[0].label, settings=settings)
-    )
-    assert first.root is not None
-    lumen = lumen_from(tree, ureter_root(first.branches, first.labels, first.root), volume, settings, first)
+    lumen = urinary_lumen(tree, volume, settings, grown)
     return lumen, urinary_measures(lumen, UrinarySettings(ureter_level=case.ureter_level_mm))
 
 
 def measured_airway(
     tree: Tree, volume: Volume | None, settings: CenterlineSettings | None, grown: Branching | None = None
-) -> tuple[tuple[Measure, ...], Drawing | None]:
+) -> tuple[tuple[Measure, ...], Drawing | None, tuple[Part, ...]]:
     """The airway measured from its first end point, the trachea's; no drawing for a lumen without a branching."""
     if len(tree.endpoints) < 3:
-        return (), None
-    return airway_measures(lumen_from(tree, tree.endpoints[0].label, volume, settings, grown))
-
-
-def lumen_from(
-    tree: Tree, root: str, volume: Volume | None, settings: CenterlineSettings | None, grown: Branching | None = None
-) -> Lumen:
-    """The branches from one end point to all others: those at hand, where they have this root."""
-    at_hand = grown is not None and grown.joins_ends and grown.root == root
-    branching = grown if grown is not None and at_hand else branches_from_end(tree, root, settings=settings)
-    sections = SurfaceSections(tree.surface)
-    return Lumen(
-        tree=branching.branches,
-        labels=branching.labels,
-        wall=tree.wall,
-        sections=PlainSections(sections) if volume is None else CtSections(volume, sections),
-        frame=tree.surface.frame,
-    )
+        return (), None, ()
+    lumen = airway_lumen(tree, volume, settings, grown)
+    return *airway_measures(lumen), airway_parts(lumen)
 
 
 def read_stones(case: MeasureCase, volume: Volume | None, inputs: list[tuple[str, str]]) -> list[Stone | str]:

@@ -14,6 +14,7 @@ from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
 from tubeplan_viz.cases.tube import Case, case_table, case_text
 from tubeplan_viz.endoluminal import Film
+from tubeplan_viz.measures import path_parts
 from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
 from tubeplan_viz.pipeline.measures import measure_run
 from tubeplan_viz.pipeline.options import RunOptions
@@ -99,6 +100,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                     settings=case.centerline,
                 )
             details["measures"] = measured.details
+            details["parts"] = path_parts(measured.parts, problem.centerline.points, plan.profile.arc_length, plan.profile.points)
             inputs = (*lumen.inputs, *measured.inputs)
             provenance = Provenance(inputs=inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
             details["walk"] = walk
@@ -183,6 +185,10 @@ def case_details(case: Case, lumen: Lumen, tree: Tree, surface: Surface, warning
         "case_id": case_name(case),
         "surface": surface_details(surface) | {"deviation_mm": deviation},
         "endpoints": [endpoint_details(tip) for tip in tree.endpoints],
+        **{
+            f"{name}_label": place if isinstance(place, str) else None
+            for name, place in (("start", case.planner.start), ("goal", case.planner.goal))
+        },
         "image": dict(lumen.facts),
         "warnings": warnings,
     }

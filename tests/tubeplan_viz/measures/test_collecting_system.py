@@ -18,8 +18,9 @@ from segmentation.volume import Volume
 from tubeplan_viz.bench.measures import ANGLE_DEG, LENGTH_MM, NOISE_HU, WIDTH_MM, Measured, measured, noisy
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.measures import StoneFacts, UrinarySettings, stone_facts
+from tubeplan_viz.measures import StoneFacts, UrinarySettings, path_parts, stone_facts
 from tubeplan_viz.measures.balls import wide_part
+from tubeplan_viz.measures.collecting_system import calyx_mouth
 from tubeplan_viz.measures.edges import WALL_HU, edges
 from tubeplan_viz.measures.urinary import angle_measures, narrowest, ureter_place
 
@@ -46,6 +47,21 @@ def test_infundibula_are_named_from_above(found: Measured) -> None:
     middle = ["middle"] if len(found.truth) == 3 else ["middle 1", "middle 2"]
     assert names == ["upper", *middle, "lower"]
     assert [len(one.targets) for one in found.measures.infundibula] == [len(one.calyces) for one in found.truth]
+
+
+def test_the_way_to_a_calyx_runs_from_the_ureter_through_the_pelvis_and_its_infundibulum(found: Measured) -> None:
+    for one in found.measures.infundibula:
+        for target in one.targets:
+            way = found.lumen.tree.path(target)
+            assert way is not None
+            parts = path_parts(found.measures.parts, way.points, way.arc_length, way.points)
+            names = [part["name"] for part in parts]
+            calyx = f"{one.name} calyx {found.lumen.labels[target]}"
+            assert names == ["ureter", "renal pelvis", f"{one.name} infundibulum", calyx]
+            # A sample of the middle line, 1 mm apart, belongs to one of the two parts that meet between it and the next.
+            assert parts[2]["from_mm"] == pytest.approx(one.lip, abs=1.0)
+            assert parts[2]["to_mm"] == pytest.approx(calyx_mouth(one, way), abs=1.0)
+            assert len(one.targets) == 1 or calyx_mouth(one, way) == one.end
 
 
 def test_nothing_is_known_of_scores_without_stones(found: Measured) -> None:

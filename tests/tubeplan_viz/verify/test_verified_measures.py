@@ -68,7 +68,7 @@ def urinary(clean: tuple[Told, OwnProfile]) -> tuple[Told, MeshFile]:
 @pytest.fixture(scope="module")
 def airway() -> tuple[Told, MeshFile]:
     tree = grow_tree(weibel_airway(generations=2, voxel=1.0).surface)
-    found, drawing = measured_airway(tree, None, None)
+    found, drawing, _ = measured_airway(tree, None, None)
     return details_of(list(found), [], drawing), file_of(tree.surface)
 
 
