@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 import tubeplan_viz.verify
 from segmentation.mesh import Surface
 from segmentation.mesh_files import write_ply
+from tubeplan_viz.verify.files import _tangent_and_torsion
 from tubeplan_viz.verify.mesh_file import MeshFileError, read_mesh
 from tubeplan_viz.verify.profile import measure
 from tubeplan_viz.verify.spline import BezierPath
@@ -65,6 +66,26 @@ def test_circle_has_its_length_curvature_and_no_torsion() -> None:
     torsion, rounding = path.torsion(samples.piece, samples.t)
     assert np.abs(torsion).max() <= 10.0 * rounding.max() + 1e-15
     assert np.diff(samples.s).max() <= 0.04
+
+
+@pytest.mark.parametrize(("told", "holds"), [(1.0, True), (1.2, False), (0.8, False)])
+def test_torsion_beside_an_inflection_may_be_that_of_a_place_half_a_millionth_of_a_mm_away(told: float, holds: bool) -> None:
+    """(t, t^3, h t^2) bends with 6 t one way and 2 h the other: its torsion falls from -3 / h where t is as small as h."""
+    hair = 1e-4
+    power = np.array([[0.0, 0, 0], [1.0, 0, 0], [0.0, 0, hair], [0.0, 1, 0]])
+    # Power basis to Bezier points of a cubic: b_k = sum over j of C(k, j) / C(3, j) a_j.
+    bezier = np.array([[1, 0, 0, 0], [1, 1 / 3, 0, 0], [1, 2 / 3, 1 / 3, 0], [1, 1, 1, 1]]) @ power
+    samples = BezierPath(np.array([0.0, 1.0]), bezier[None]).sample(0.01)
+    s = np.array([0.0, 1e-5, 3e-5, 1e-4, 0.5])
+    piece, t = samples.at_length(s)
+    rows = np.zeros((len(s), 10))
+    rows[:, 0] = s
+    rows[:, 4:7] = samples.path.evaluate(piece, t, 1)
+    rows[:, 4:7] /= np.linalg.norm(rows[:, 4:7], axis=1, keepdims=True)
+    rows[:, 8] = told * samples.path.torsion(*samples.at_length(s + 5e-7))[0]
+    assert np.abs(rows[:, 8]).max() > 1e4  # 1/mm, and 3 % less a millionth of a mm on
+    checks = {check.name: check.ok for check in _tangent_and_torsion(rows, samples)}
+    assert checks == {"path.csv: tangents": True, "path.csv: torsion": holds}
 
 
 def test_arc_length_is_inverted() -> None:
