@@ -50,6 +50,9 @@ def build() -> None:
             [HERE / "node_modules/.bin/esbuild", f"src/{source}", *options, f"--outfile={dist / name}"], cwd=HERE, check=True
         )
         text = (dist / name).read_text()
+        if name == PAGES["main.js"]:  # every report is a copy of what is bundled: its licence goes with it
+            text = f"/*!\n{licences()}*/\n{text}"
+            (dist / name).write_text(text)
         if "</script" in text or "<!--" in text:
             raise SystemExit("the bundle holds text that would end its own script element; rename it in the source")
     (dist / "THIRD_PARTY.txt").write_text(licences())

@@ -85,7 +85,10 @@ def test_the_shipped_script_was_built_from_the_sources_beside_it() -> None:
     scene = Path(render.__file__).parent / "scene"
     build = runpy.run_path(str(scene / "build.py"))
     assert (scene / "dist" / "SOURCES.sha256").read_text().strip() == build["sources_digest"]()
-    assert "three 0." in (scene / "dist" / "THIRD_PARTY.txt").read_text()
+    licences = (scene / "dist" / "THIRD_PARTY.txt").read_text()
+    assert "three 0." in licences
+    # A page is a copy of what it holds, and says whose it is.
+    assert (scene / "dist" / "report.js").read_text().startswith(f"/*!\n{licences}*/\n")
     assert "resolved" not in (scene / "package-lock.json").read_text()
 
 

@@ -11,6 +11,7 @@ import gzip
 import hashlib
 import html
 import os
+from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
 
@@ -48,6 +49,7 @@ def write_single_file(recording: Path, path: Path, *, title: str) -> None:
         ("policy", content_policy((viewer, start))),
         ("title", html.escape(title)),
         ("style", _part("single_file.css")),
+        ("licence", viewer_licence()),
         ("start", start),
         ("viewer", viewer),
         ("rrd", packed(recording.read_bytes())),
@@ -56,6 +58,14 @@ def write_single_file(recording: Path, path: Path, *, title: str) -> None:
         page = page.replace(f"@{mark}@", text)
     with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w", encoding="utf-8", newline="\n") as file:
         file.write(page)
+
+
+def viewer_licence() -> str:
+    """The licence that a copy of rerun's viewer has to carry, as the installed package states it."""
+    text = distribution("rerun-sdk").read_text("licenses/LICENSE-MIT")
+    if text is None or "-->" in text:
+        raise ViewerError("rerun's licence is not where it is known to be; install the pinned rerun-sdk again")
+    return text.strip()
 
 
 def packed(data: bytes) -> str:

@@ -238,6 +238,8 @@ def test_the_single_file_opens_from_disk_and_asks_no_host(meshes: Path, tubeplan
     file = tmp_path / "one" / "viewer.html"
     recording = (run / "recording.rrd").stat().st_size
     assert file.stat().st_size < 20e6 + 1.4 * recording  # base64 takes a third more
+    with file.open(encoding="utf-8") as page:  # a copy of the viewer carries its licence
+        assert "Rerun Technologies AB" in page.read(1000)
     page = browser.new_page(viewport={"width": 1000, "height": 700})
     faults, asked = [], []
     page.on("pageerror", lambda error: faults.append(str(error)))
