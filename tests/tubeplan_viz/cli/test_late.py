@@ -9,6 +9,7 @@ from importlib import import_module
 
 import pytest
 
+from tubeplan_viz import __version__
 from tubeplan_viz.cli.app import COMMANDS, PLANS, command_tree
 
 LISTING = """
@@ -26,6 +27,11 @@ def test_the_line_in_the_list_is_the_commands_own(place: str, summary: str) -> N
     told = inspect.getdoc(getattr(import_module(f"tubeplan_viz.cli.{module}"), function))
     assert told is not None
     assert told.splitlines()[0] == summary
+
+
+def test_the_package_runs_as_a_module_too() -> None:
+    done = subprocess.run([sys.executable, "-m", "tubeplan_viz", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, f"tubeplan {__version__}")
 
 
 def test_every_command_is_in_the_tree_once() -> None:
