@@ -14,6 +14,8 @@ import numpy as np
 DERIVED: Mapping[str, str] = MappingProxyType(
     {
         "derived:margin_mm": "metrics.clearance_min_mm - limits.clearance_min_mm",
+        "derived:narrow_by_mm": "limits.clearance_min_mm - details.bottleneck.clearance_upper_bound_mm",
+        "derived:kept_until_mm": "the least flagged_intervals.N.from_mm",
         "derived:clearance_min_at_mm": "path.s_mm at the first least value of path.clearance_mm",
         "derived:curvature_max_at_mm": "path.s_mm at the first largest value of path.curvature_per_mm",
         "derived:bend_radius_mm": "1 / metrics.curvature_max_per_mm",
@@ -48,6 +50,7 @@ def derived_values(result: Mapping[str, Any]) -> dict[str, float]:
     limits, metrics, path = (result.get(name) or {} for name in ("limits", "metrics", "path"))
     least, asked = metrics.get("clearance_min_mm"), limits.get("clearance_min_mm")
     sharpest, allowed = metrics.get("curvature_max_per_mm"), limits.get("curvature_max_per_mm")
+    flags = result.get("flagged_intervals") or []
     values: dict[str, float] = {}
     if least is not None:
         values["derived:path_diameter_mm"] = 2.0 * least
@@ -55,6 +58,11 @@ def derived_values(result: Mapping[str, Any]) -> dict[str, float]:
         values["derived:instrument_diameter_mm"] = 2.0 * asked
     if least is not None and asked is not None:
         values["derived:margin_mm"] = least - asked
+    bound = ((result.get("details") or {}).get("bottleneck") or {}).get("clearance_upper_bound_mm")
+    if bound is not None and asked is not None:
+        values["derived:narrow_by_mm"] = asked - bound
+    if flags:
+        values["derived:kept_until_mm"] = float(min(flag["from_mm"] for flag in flags))
     if sharpest:
         values["derived:bend_radius_mm"] = 1.0 / sharpest
     if allowed:
@@ -70,7 +78,7 @@ def derived_values(result: Mapping[str, Any]) -> dict[str, float]:
         values["derived:bend_radius_before_mm"] = 1.0 / iterations[0]["curvature_max_per_mm"]
     if result.get("timings_s"):
         values["derived:time_s"] = float(sum(result["timings_s"].values()))
-    return values | _flag_values(result.get("flagged_intervals") or [], asked)
+    return values | _flag_values(flags, asked)
 
 
 def _flag_values(flags: list[Mapping[str, Any]], asked: float | None) -> dict[str, float]:

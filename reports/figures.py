@@ -205,6 +205,22 @@ def _worst_label(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
     ]
 
 
+def part_labels(x: Axis, length: float, parts_named: Sequence[Mapping[str, Any]]) -> list[Markup]:
+    """A line over each part of the anatomy, with its name where there is room; the last, where the goal is, may reach back."""
+    made: list[Markup] = []
+    free = 0.0
+    for part in parts_named:
+        start, end = x(max(part["from_mm"], 0.0)), x(min(part["to_mm"], length))
+        made.append(tag("line", class_="part", x1=start + 1, x2=end - 1, y1=19.5, y2=19.5))
+        wide, middle = 6.2 * len(part["name"]), (start + end) / 2
+        if wide < end - start:
+            made.append(tag("text", str(part["name"]), class_="part-name", x=middle, y=12, text_anchor="middle"))
+            free = middle + wide / 2 + 12
+        elif part is parts_named[-1] and end - wide > free:
+            made.append(tag("text", str(part["name"]), class_="part-name", x=end, y=12, text_anchor="end"))
+    return made
+
+
 def strip_chart(
     length: float,
     shares: FloatArray,
@@ -219,12 +235,7 @@ def strip_chart(
     """
     wide, tall = width.strip, 82
     x = Axis(0.0, length, 7, wide - 7)
-    parts: list[Markup] = []
-    for part in parts_named:
-        start, end = x(max(part["from_mm"], 0.0)), x(min(part["to_mm"], length))
-        parts.append(tag("line", class_="part", x1=start + 1, x2=end - 1, y1=19.5, y2=19.5))
-        if end - start > 6.2 * len(part["name"]):
-            parts.append(tag("text", str(part["name"]), class_="part-name", x=(start + end) / 2, y=12, text_anchor="middle"))
+    parts = part_labels(x, length, parts_named)
     for k, share in enumerate(shares):
         start, end = x(k * length / len(shares)), x((k + 1) * length / len(shares))
         mix = f"fill:color-mix(in srgb, var(--roomy) {100 * share:.0f}%, var(--tight))"

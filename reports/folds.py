@@ -20,6 +20,8 @@ HANDLED_DETAILS = {
     "centerline_radius_min",
     "features_before",
     "parts",
+    "start_label",
+    "goal_label",
     "warnings",
     "anatomy",
     "instrument",

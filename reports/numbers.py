@@ -88,6 +88,17 @@ class Phrase:
         return Markup("").join(escape(part) for part in self.parts)
 
 
+def typeset(text: str) -> str:
+    """Words of another module with true minus and multiplication signs.
+
+    Examples
+    --------
+    >>> typeset("0.750 x 0.750 mm, from -3 HU")
+    '0.750 × 0.750 mm, from −3 HU'
+    """
+    return re.sub(r"(?<=\d) x (?=\d)", " \u00d7 ", re.sub(r"(?<![\w.])-(?=\d)", MINUS, text))
+
+
 def sentence(text: str) -> str:
     """A planner's words as a sentence of the page: capital letter, full stop, true minus signs.
 
@@ -96,7 +107,7 @@ def sentence(text: str) -> str:
     >>> sentence("the wall is -0.5 mm away")
     'The wall is −0.5 mm away.'
     """
-    text = re.sub(r"(?<![\w.])-(?=\d)", MINUS, text.strip())
+    text = typeset(text.strip())
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) or not text else ".")
 
 

@@ -22,19 +22,18 @@ from reports import workspace
 from reports.derived import derived_values
 from reports.folds import Fact, Fold, folds
 from reports.measures import Section, measures_section
-from reports.numbers import Figure, Source, phrase, printed
+from reports.numbers import Figure, Source, phrase, printed, typeset
 from reports.places import Place, critical_places
 from reports.relaxation import Relief, relief
 from reports.slices import LEVELS, REACH_MM, ReducedVolume, Window, reduce_volume, windows_for
 from reports.still import Label, View, choose_view, still_picture
-from reports.svg import LEFT, RIGHT, WIDTHS
 from reports.tables import KINDS, FeatureRow, MeasureRow, feature_rows, measures
 from reports.tolerance import PoseErrors, pose_errors
+from reports.turnable import rounded, turnable
 from reports.walk import Walk, film_data, walk_of
 from reports.wall import RIM_PLACES, RIM_STEP_MM, LightMesh, light_mesh, packed
-from reports.words import Verdict, verdict, worst_place
+from reports.words import Verdict, capitalised, verdict, worst_place
 from reports.workspace import Course, Straight
-from segmentation.arrays import FloatArray
 from tubeplan_viz.result import Review
 
 LABELLED_FLAGS = 4  # flagged places named in the scene; all of them are coloured
@@ -125,6 +124,7 @@ def make_page(review: Review) -> Page:
     first = review.first or {}
     charts = workspace.profiles(course, source, first) if course is not None else {}
     said = verdict(source, parts)
+    parts = tuple({**part, "name": capitalised(str(part["name"]))} for part in parts)
     return Page(
         title=f"{TITLES[said.status]}: case {review.case_id}",
         case_id=review.case_id,
@@ -185,7 +185,8 @@ def _stretches(course: Course | None, source: Source) -> list[tuple[str, int, in
 
 def _labels(course: Course, source: Source) -> tuple[Label, ...]:
     """Start, goal and the gravest flagged places, in words."""
-    labels = [Label(course.points[0], "Start", "start", 0), Label(course.points[-1], "Goal", "goal", 0)]
+    details = source.result.get("details") or {}
+    labels = [Label(course.points[k], _end_words(details, name), name, 0) for k, name in ((0, "start"), (-1, "goal"))]
     flags = source.result.get("flagged_intervals") or []
     for kind, better in (("clearance", 1.0), ("curvature", -1.0)):
         mine = sorted((f for f in flags if f["kind"] == kind), key=lambda f: better * f["worst"])
@@ -200,10 +201,16 @@ def _labels(course: Course, source: Source) -> tuple[Label, ...]:
     return tuple(labels)
 
 
+def _end_words(details: Mapping[str, Any], name: str) -> str:
+    """``Start`` or ``Goal``, with the label by which it was asked for."""
+    label = details.get(f"{name}_label")
+    return f"{name.capitalize()} {label}" if label else name.capitalize()
+
+
 def _ends_asked(details: Mapping[str, Any]) -> tuple[Label, ...]:
     """Start and goal as they were asked for, where no path joins them."""
     return tuple(
-        Label(np.asarray(details[f"{name}_mm"], float), name.capitalize(), name, 0)
+        Label(np.asarray(details[f"{name}_mm"], float), _end_words(details, name), name, 0)
         for name in ("start", "goal")
         if len(details.get(f"{name}_mm") or ()) == 3
     )
@@ -243,7 +250,7 @@ def _features_line(source: Source) -> str:
 
 def _facts(review: Review, source: Source, mesh: LightMesh | None, reduced: ReducedVolume | None) -> tuple[Fact, ...]:
     # Padding decides nothing by itself: it stands with the provenance.
-    facts = [Fact(str(term), phrase(str(value))) for term, value in review.facts.items() if term != "Padding"]
+    facts = [Fact(str(term), phrase(typeset(str(value)))) for term, value in review.facts.items() if term != "Padding"]
     deviation = [source.figure(f"details.surface.deviation_mm.{name}", 3, "mm") for name in ("mean", "p95", "max")]
     mean, most, largest = deviation
     if mean is not None and most is not None and largest is not None and not any("eviation" in term for term in review.facts):
@@ -299,25 +306,16 @@ def _scene(
 ) -> dict[str, Any]:
     """What the page's script needs beside result.json itself; null where there is none."""
     features = source.result.get("feature_points") or []
-    return {
-        "pad": [LEFT, RIGHT],
-        "plot": {width.name: width.plot for width in WIDTHS},
-        "mesh": mesh.packed() if mesh is not None else None,
+    before = np.asarray(first.get("points_mm") or [], float).reshape(-1, 3)
+    return turnable(mesh, view, labels, start=_start_index(course, source), ramp=ramp, before=before) | {
         "ct": reduced.packed() if reduced is not None else None,
         "windows": {window.name: [window.centre, window.width] for window in windows},
         "rims": _packed_rims(course),
-        "view": {"toward": _rounded(view.toward), "up": _rounded(view.up)} if view is not None else None,
-        "ramp": list(ramp) if ramp else None,
-        "before": [_rounded(point, 2) for point in np.asarray(first.get("points_mm") or [], float).reshape(-1, 3)[::2]],
-        "labels": [
-            {"point": _rounded(label.point, 3), "text": label.text, "kind": label.kind, "rank": label.rank} for label in labels
-        ],
         "stretches": [list(stretch) for stretch in stretches],
         "features": [
-            {"kind": str(f["kind"]), "point": _rounded(np.asarray(f["point_mm"], float), 3), "s": f.get("s_mm")} for f in features
+            {"kind": str(f["kind"]), "point": rounded(np.asarray(f["point_mm"], float), 3), "s": f.get("s_mm")} for f in features
         ],
         "parts": [{"name": str(part["name"]), "from": part["from_mm"], "to": part["to_mm"]} for part in parts],
-        "start": _start_index(course, source),
     }
 
 
@@ -339,12 +337,8 @@ def _packed_rims(course: Course | None) -> dict[str, Any] | None:
         "directions": course.rims.shape[1] if course.rims is not None else 0,
         "step": RIM_STEP_MM,
         "values": packed(np.round(course.rims / RIM_STEP_MM), "u2") if course.rims is not None else "",
-        "normal": [_rounded(normal) for normal in course.normal],
+        "normal": [rounded(normal) for normal in course.normal],
     }
-
-
-def _rounded(vector: FloatArray, digits: int = 4) -> list[float]:
-    return [round(float(v), digits) for v in vector]
 
 
 __all__ = ["Growth", "Page", "make_page"]

@@ -62,6 +62,11 @@ def part_at(parts: Sequence[Mapping[str, Any]], at: float) -> str:
     return next((str(part["name"]) for part in parts if part["from_mm"] <= at <= part["to_mm"]), "")
 
 
+def capitalised(words: str) -> str:
+    """Words that stand alone, with a capital."""
+    return words[:1].upper() + words[1:]
+
+
 def count_of(number: int, one: str, many: str) -> str:
     """A count with its noun, small numbers as words.
 
@@ -87,7 +92,7 @@ def verdict(source: Source, parts: Sequence[Mapping[str, Any]]) -> Verdict:
         icon=icon,
         word=word,
         line=_line(source, status, len(flags)),
-        title=_title(source, status, flags),
+        title=_title(source, status, flags, parts),
         lead=_lead(source, status, parts),
         warnings=tuple(str(text) for text in details.get("warnings") or ()),
         keys=tuple(
@@ -138,14 +143,31 @@ def _radii(source: Source) -> tuple[Figure | None, Figure | None]:
     return source.figure("derived:bend_radius_mm", digits, "mm"), source.figure("derived:bend_radius_limit_mm", 1, "mm")
 
 
-def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]]) -> Phrase:
+def goal_words(source: Source, parts: Sequence[Mapping[str, Any]]) -> str:
+    """The goal by the part of the anatomy in which it lies, else by its label."""
+    label = (source.result.get("details") or {}).get("goal_label")
+    if not parts:
+        return f"goal {label}" if label else "the goal"
+    name = str(parts[-1]["name"])
+    return f"the {name}" if not label or str(label) in name.split() else f"the {name} ({label})"
+
+
+def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]], parts: Sequence[Mapping[str, Any]]) -> Phrase:
     if status == "ok":
-        return phrase("Both limits hold along the whole path")
+        return phrase(f"The path reaches {goal_words(source, parts)} and keeps both limits")
     if status == "flagged":
-        return phrase(f"The path reaches the goal, but {count_of(len(flags), 'stretch breaks', 'stretches break')} a limit")
+        broken = count_of(len(flags), "stretch breaks", "stretches break")
+        return phrase(f"The path reaches {goal_words(source, parts)}, but {broken} a limit")
     narrow = min((i for i, f in enumerate(flags) if f["kind"] == "clearance"), key=lambda i: flags[i]["worst"], default=None)
     sharp = max((i for i, f in enumerate(flags) if f["kind"] == "curvature"), key=lambda i: flags[i]["worst"], default=None)
-    bend = ((source.result.get("details") or {}).get("bottleneck") or {}).get("bend") or {}
+    way = (source.result.get("details") or {}).get("bottleneck") or {}
+    bend = way.get("bend") or {}
+    narrow_by = source.figure("derived:narrow_by_mm", 2, "mm")
+    if not bend.get("proves_impossible") and way.get("proves_impossible") and narrow_by is not None:
+        narrow_by = source.need("derived:narrow_by_mm", digits_apart(narrow_by.value, 0.0, 2), "mm")
+        if way.get("end"):
+            return phrase(f"No path: the {way['end']} itself lies too near the wall by ", narrow_by)
+        return phrase("No path: the lumen is too narrow by ", narrow_by)
     if bend.get("proves_impossible"):
         left = source.need("details.bottleneck.bend.clearance_upper_bound_mm", 2, "mm")
         return phrase("No path: the bend leaves less than ", left, " for this bend radius")
@@ -164,13 +186,13 @@ def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]]) -> P
 def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Phrase:
     reason = source.result.get("reason")
     if status == "infeasible":
-        return phrase(sentence(str(reason)) if reason else "")
+        return phrase(sentence(str(reason)) if reason else "", *_kept_until(source, parts))
     said: list[Phrase] = []
     margin, at = source.value("derived:margin_mm"), worst_place(source, "clearance")
     asked = source.figure("limits.clearance_min_mm", 2, "mm")
     if margin is not None and at is not None and asked is not None:
         place = part_at(parts, at.value)
-        where = phrase("At ", at, f", {place}," if place else "")
+        where = phrase("At ", at, f", in the {place}," if place else "")
         least = source.need(
             "metrics.clearance_min_mm",
             digits_apart(source.need("metrics.clearance_min_mm", 2).value, asked.value, 2),
@@ -207,6 +229,16 @@ def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Ph
     elif status == "flagged":
         said.append(phrase("Everywhere else both limits hold."))
     return phrase(*said)
+
+
+def _kept_until(source: Source, parts: Sequence[Mapping[str, Any]]) -> tuple[Phrase, ...]:
+    """How far along the best path found both limits hold, where they do for a stretch worth a word."""
+    until, length = source.figure("derived:kept_until_mm", 1, "mm"), source.figure("metrics.length_mm", 1, "mm")
+    if until is None or length is None or until.value < 1.0:
+        return ()
+    place = part_at(parts, until.value)
+    where = f", in the {place}" if place else ""
+    return (phrase(" The best path found keeps both limits up to ", until, " of ", length, f"{where}."),)
 
 
 def _instrument(source: Source) -> KeyFigure | None:
@@ -322,4 +354,4 @@ def _flag_row(source: Source, index: int, flag: Mapping[str, Any], parts: Sequen
         )
         name = "Bend too sharp"
     worst = phrase(worst, ", at ", Figure(at.key, at.value, 1, "mm"))
-    return FlagRow(flag["kind"], name, where, part_at(parts, at.value), worst, at.value)
+    return FlagRow(flag["kind"], name, where, capitalised(part_at(parts, at.value)), worst, at.value)

@@ -199,12 +199,12 @@ def _name_caps(
         long, along = _lie(points, faces, patch, center)
         if abs(float(along @ planes[plane])) < LENGTHWISE:
             notes.append(
-                f"{label_text}: the image border ({name}) cuts the lumen lengthwise over {long:.0f} mm ({area:.0f} mm2); "
+                f"{label_text}: the image border ({name}) cuts the lumen lengthwise over {long:.0f} mm ({area:.0f} mm²); "
                 "the wall beyond it is not in the image and the clearance towards it is unknown"
             )
         else:
             notes.append(
-                f"{label_text}: the image border ({name}) cuts the lumen across ({area:.0f} mm2); closed there by a flat cap"
+                f"{label_text}: the image border ({name}) cuts the lumen across ({area:.0f} mm²); closed there by a flat cap"
             )
     return face_cap, tuple(caps)
 

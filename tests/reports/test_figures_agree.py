@@ -33,6 +33,7 @@ def test_every_marked_figure_is_the_results_and_printed_as_it_rounds(make_review
 
 def test_every_derived_figure_is_documented_and_follows_its_formula(make_review: Any) -> None:
     result = make_review().result
+    result["details"]["bottleneck"] = {"clearance_upper_bound_mm": 0.9}
     values = derived_values(result)
     assert {".".join("N" if part.isdigit() else part for part in key.split(".")) for key in values} == set(DERIVED)
     metrics, limits, path, flags = result["metrics"], result["limits"], result["path"], result["flagged_intervals"]
@@ -41,6 +42,8 @@ def test_every_derived_figure_is_documented_and_follows_its_formula(make_review:
     assert values["derived:clearance_min_at_mm"] == path["s_mm"][int(np.argmin(path["clearance_mm"]))]
     assert values["derived:flagged_clearance_mm"] == sum(f["to_mm"] - f["from_mm"] for f in flags if f["kind"] == "clearance")
     assert values["derived:path_diameter_mm"] == 2.0 * metrics["clearance_min_mm"]
+    assert values["derived:narrow_by_mm"] == limits["clearance_min_mm"] - 0.9
+    assert values["derived:kept_until_mm"] == min(f["from_mm"] for f in flags)
     sharp = next(k for k, flag in enumerate(flags) if flag["kind"] == "curvature")
     assert values[f"derived:flag.{sharp}.radius_mm"] * flags[sharp]["worst"] == pytest.approx(1.0)
 

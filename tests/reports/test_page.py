@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
+import numpy as np
 import pytest
 
 from reports import ReportError, render, render_report, write_page
@@ -26,7 +27,7 @@ def text_of(page: str) -> str:
 
 def test_each_state_says_its_verdict(make_review: Any) -> None:
     holds = text_of(render_report(make_review(curvature_max=0.25, clearance_min=0.8, ct=False)))
-    assert "Both limits hold along the whole path" in holds
+    assert "The path reaches the goal and keeps both limits" in holds
     assert "proved for every point" in holds
     flagged = make_review(ct=False)
     said = text_of(render_report(flagged))
@@ -54,6 +55,38 @@ def test_one_broken_limit_is_named_with_its_amount_when_there_is_no_path(make_re
     )
     sharp = make_review(infeasible=True, clearance_min=0.8, ct=False)
     assert "No path: the bend needs a radius of" in text_of(render_report(sharp))
+
+
+PARTS = [{"name": "ureter", "from_mm": 0.0, "to_mm": 60.0}, {"name": "lower calyx E3", "from_mm": 60.0, "to_mm": 200.0}]
+
+
+def test_the_goal_is_named_by_its_part_else_by_its_label(make_review: Any) -> None:
+    review = make_review(curvature_max=0.25, clearance_min=0.8, ct=False)
+    review.result["details"]["goal_label"] = "E3"
+    assert "The path reaches goal E3 and keeps both limits" in text_of(render_report(review))
+    review.result["details"]["parts"] = PARTS
+    named = text_of(render_report(review))
+    assert "The path reaches the lower calyx E3 and keeps both limits" in named
+    tightest = review.result["path"]["s_mm"][int(np.argmin(review.result["path"]["clearance_mm"]))]
+    assert f"in the {'ureter' if tightest <= 60.0 else 'lower calyx E3'}, the path comes closest to the wall" in named
+    review.result["details"]["parts"] = [PARTS[0], {**PARTS[1], "name": "right lower lobe"}]
+    assert "The path reaches the right lower lobe (E3) and keeps both limits" in text_of(render_report(review))
+
+
+def test_no_path_is_stated_by_what_is_proved_and_says_how_far_the_best_one_holds(make_review: Any) -> None:
+    review = make_review(infeasible=True, curvature_max=0.25, ct=False)
+    asked, details = review.result["limits"]["clearance_min_mm"], review.result["details"]
+    # The best path may miss the limit by more than the proof says: the title must not claim that much.
+    bound = 0.5 * (asked + review.result["metrics"]["clearance_min_mm"])
+    way = {"clearance_upper_bound_mm": bound, "point_mm": [0.0, 1.0, 2.0], "required_mm": asked, "proves_impossible": True}
+    details["bottleneck"] = {**way, "bend": None, "end": None}
+    said = text_of(render_report(review)).replace("\u00a0", " ")
+    assert f"No path: the lumen is too narrow by {asked - bound:.2f} mm" in said
+    until = min(flag["from_mm"] for flag in review.result["flagged_intervals"])
+    assert f"keeps both limits up to {until:.1f} mm of {review.result['metrics']['length_mm']:.1f} mm." in said
+    details["bottleneck"]["end"] = "goal"
+    said = text_of(render_report(review)).replace("\u00a0", " ")
+    assert f"No path: the goal itself lies too near the wall by {asked - bound:.2f} mm" in said
 
 
 def test_hostile_words_are_text_everywhere(make_review: Any) -> None:

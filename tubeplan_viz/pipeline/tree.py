@@ -126,11 +126,16 @@ def branches_from_end(tree: Tree, root: str, *, settings: CenterlineSettings | N
     return grown_from(tree, start, root, [tip.label for tip in others], [tip.point for tip in others], settings)
 
 
+def end_label(tree: Tree, place: FloatArray) -> str | None:
+    """Label of the end point at a place; None where there is none."""
+    return next((tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - place) <= SAME), None)
+
+
 def branches_on_way(
     tree: Tree, start: FloatArray, goal: FloatArray, *, settings: CenterlineSettings | None = None
 ) -> tuple[Branching, int]:
     """Centerlines from a path's start to every other end of the lumen and to its goal; the goal's number among the targets."""
-    root = next((tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - start) <= SAME), None)
+    root = end_label(tree, start)
     # A start beside an end point, but not on it, stands for that end.
     near = {tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - start) <= tip.radius}
     others = [tip for tip in tree.endpoints if tip.label not in ({root} if root is not None else near)]

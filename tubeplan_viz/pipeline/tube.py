@@ -19,7 +19,7 @@ from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
 from tubeplan_viz.pipeline.measures import measure_run
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Stopwatch
-from tubeplan_viz.pipeline.tree import Tree, branches_on_way, endpoint_details, pose_case
+from tubeplan_viz.pipeline.tree import Tree, branches_on_way, end_label, endpoint_details, pose_case
 from tubeplan_viz.pipeline.walk import film_of, walk_details
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.profile import sharpest_place
@@ -79,7 +79,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                 plan = conclude(problem, steps)
             # mesh.ply holds wall faces first and then the caps; result.json counts on that order.
             written = write_ply(problem.surface, folder.path("mesh.ply"))
-            details = case_details(case, lumen, tree, written, warnings)
+            details = case_details(case, lumen, problem, tree, written, warnings)
             with watch.stage("walk"):
                 grown, at_goal = branches_on_way(tree, problem.start, problem.goal, settings=case.centerline)
                 walk = walk_details(plan.profile, grown.branches, at_goal, problem.surface.frame)
@@ -176,7 +176,9 @@ def tolerance_details(case: Case, problem: TubeProblem, plan: Plan) -> dict[str,
     return path_tolerance(plan.profile, problem.wall, least, settings, rng=np.random.default_rng(seed)).details()
 
 
-def case_details(case: Case, lumen: Lumen, tree: Tree, surface: Surface, warnings: list[str]) -> dict[str, Any]:
+def case_details(
+    case: Case, lumen: Lumen, problem: TubeProblem, tree: Tree, surface: Surface, warnings: list[str]
+) -> dict[str, Any]:
     """The planner-independent part of result.json's details."""
     details = dict(lumen.details)
     deviation = details.pop("deviation_mm", None)
@@ -185,10 +187,8 @@ def case_details(case: Case, lumen: Lumen, tree: Tree, surface: Surface, warning
         "case_id": case_name(case),
         "surface": surface_details(surface) | {"deviation_mm": deviation},
         "endpoints": [endpoint_details(tip) for tip in tree.endpoints],
-        **{
-            f"{name}_label": place if isinstance(place, str) else None
-            for name, place in (("start", case.planner.start), ("goal", case.planner.goal))
-        },
+        "start_label": end_label(tree, problem.start),
+        "goal_label": end_label(tree, problem.goal),
         "image": dict(lumen.facts),
         "warnings": warnings,
     }
