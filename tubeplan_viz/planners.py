@@ -9,6 +9,7 @@ from typing import Any
 
 from segmentation.errors import CaseError
 from tubeplan_viz.cases import bronchoscope, needle, rigid, tube
+from tubeplan_viz.cases.fields import brief
 from tubeplan_viz.pipeline import RunOptions, run_bronchoscope, run_needle, run_rigid, run_tube
 
 
@@ -59,8 +60,8 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     """
     planner = table.get("planner", {})
     which = planner.get("name", "tube") if isinstance(planner, Mapping) else "tube"
-    if which not in PLANNERS:
-        raise CaseError(f"{name} [planner] name: there is no planner {which!r}, expected one of {', '.join(PLANNERS)}")
+    if not isinstance(which, str) or which not in PLANNERS:
+        raise CaseError(f"{name} [planner] name: there is no planner {brief(which)}, expected one of {', '.join(PLANNERS)}")
     return PLANNERS[which].make(table, folder=folder, name=name)
 
 

@@ -13,9 +13,10 @@ import numpy as np
 from segmentation.errors import CaseError
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
-from tubeplan_viz.cases.fields import check_keys, number, point, seed, subtable, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, number, point, seed, subtable, text, whole
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 from tubeplan_viz.cases.writing import case_file, in_unit_of, written
+from tubeplan_viz.plan import Limits
 
 METHODS = ("kinematic", "dynamic")
 # Curvature that the tip's track may have, 1/mm. The tip is swung by two sections on a moving base, so its track may bend more
@@ -80,6 +81,9 @@ class BronchoscopeCase:
     robot: Robot = field(default_factory=Robot)
     settings: PlannerSettings = field(default_factory=PlannerSettings)
 
+    def __post_init__(self) -> None:
+        Limits(curvature_max=self.curvature_max, clearance_min=self.clearance_min)
+
 
 def default_method() -> str:
     """``dynamic`` where MuJoCo is installed, else ``kinematic``."""
@@ -100,7 +104,7 @@ def make_bronchoscope_case(table: Mapping[str, Any], *, folder: Path | None = No
     check_keys(planner, known, f"{name} [planner]", "key")
     method = text(planner.get("method", default_method()), f"{name} [planner] method")
     if method not in METHODS:
-        raise CaseError(f"{name} [planner] method: bronchoscope has no method {method!r}, expected {' or '.join(METHODS)}")
+        raise CaseError(f"{name} [planner] method: bronchoscope has no method {brief(method)}, expected {' or '.join(METHODS)}")
     goal, lesion = planner.get("goal"), planner.get("lesion")
     limits = subtable(table, "limits", name)
     check_keys(limits, ("curvature_max", "clearance_min"), f"{name} [limits]", "key")

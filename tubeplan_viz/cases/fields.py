@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 import tomllib
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -33,42 +35,63 @@ def check_keys(table: Mapping[str, Any], known: Sequence[str], where: str, what:
         raise CaseError(f"{where}: found {type(table).__name__}, expected a table")
     for key in table:
         if key not in known:
-            raise CaseError(f"{where}: unknown {what} {key!r}; expected one of {', '.join(known)}")
+            near = get_close_matches(key, known, n=1)
+            meant = f"; did you mean {near[0]}?" if near else ""
+            raise CaseError(f"{where}: unknown {what} {brief(key)}; expected one of {', '.join(known)}{meant}")
 
 
 def subtable(table: Mapping[str, Any], key: str, name: str) -> dict[str, Any]:
     """One table of the case, as a copy; empty when it is not there."""
     found = table.get(key, {})
     if not isinstance(found, Mapping):
-        raise CaseError(f"{name}: {key} is {found!r}, expected a table [{key}]")
+        raise CaseError(f"{name}: {key} is {brief(found)}, expected a table [{key}]")
     return dict(found)
 
 
 def text(value: Any, where: str) -> str:
     """A value that must be text."""
     if not isinstance(value, str | os.PathLike):
-        raise CaseError(f"{where}: found {value!r}, expected text")
+        raise CaseError(f"{where}: found {brief(value)}, expected text")
     return os.fspath(value)
 
 
 def located(value: Any, folder: Path | None, where: str) -> Path:
     """A file's path; a relative one starts from `folder`, the case file's."""
-    path = Path(text(value, where)).expanduser()
+    given = text(value, where)
+    if not given or "\0" in given:
+        raise CaseError(f"{where}: found {brief(given)}, expected the path of a file or folder")
+    path = Path(given).expanduser()
     return path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
+
+
+def brief(value: Any) -> str:
+    """A value as a message shows it: a long one in part."""
+    shown = repr(value)
+    return shown if len(shown) <= 80 else f"{shown[:60]}... ({len(shown)} characters)"
 
 
 def number(value: Any, where: str, wanted: str = "a finite number") -> float:
     """A value that must be a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
+    # A whole number of TOML may have more digits than a double takes.
+    fits = isinstance(value, float) or (isinstance(value, int) and abs(value) <= sys.float_info.max)
+    if isinstance(value, bool) or not fits or not math.isfinite(value):
+        raise CaseError(f"{where}: found {brief(value)}, expected {wanted}")
     return float(value)
+
+
+def table_rows(table: Mapping[str, Any], key: str, name: str) -> list[Any]:
+    """The tables ``[[key]]`` of a case file; empty when there are none."""
+    found = table.get(key, [])
+    if not isinstance(found, list | tuple):
+        raise CaseError(f"{name}: {key} is {brief(found)}, expected one or more tables [[{key}]]")
+    return list(found)
 
 
 def whole(value: Any, where: str) -> int:
     """A value that must be a whole number."""
     found = number(value, where, "a whole number")
     if found != round(found):
-        raise CaseError(f"{where}: found {value!r}, expected a whole number")
+        raise CaseError(f"{where}: found {brief(value)}, expected a whole number")
     return int(found)
 
 
@@ -86,9 +109,9 @@ def point(value: Any, where: str) -> tuple[float, float, float]:
         try:
             value = [float(v) for v in value.split(",")]
         except ValueError:
-            raise CaseError(f"{where}: found {value!r}, expected X,Y,Z in mm") from None
+            raise CaseError(f"{where}: found {brief(value)}, expected X,Y,Z in mm") from None
     if not isinstance(value, Sequence) or len(value) != 3:
-        raise CaseError(f"{where}: found {value!r}, expected three numbers in mm")
+        raise CaseError(f"{where}: found {brief(value)}, expected three numbers in mm")
     x, y, z = (number(v, where) for v in value)
     return (x, y, z)
 
@@ -102,9 +125,9 @@ def error_of_pose(value: Any, where: str) -> tuple[float, float] | str:
         try:
             value = [float(v) for v in value.split(",")]
         except ValueError:
-            raise CaseError(f"{where}: found {value!r}, expected {wanted}") from None
+            raise CaseError(f"{where}: found {brief(value)}, expected {wanted}") from None
     if not isinstance(value, Sequence) or len(value) != 2:
-        raise CaseError(f"{where}: found {value!r}, expected {wanted}")
+        raise CaseError(f"{where}: found {brief(value)}, expected {wanted}")
     return (number(value[0], where), number(value[1], where))
 
 
@@ -115,5 +138,5 @@ def end_place(value: Any, where: str) -> Place:
         if label[:1] == "E" and label[1:].isdigit():
             return label
         if "," not in value:
-            raise CaseError(f"{where}: found {value!r}, expected X,Y,Z in mm or a label like E2 from `tubeplan endpoints`")
+            raise CaseError(f"{where}: found {brief(value)}, expected X,Y,Z in mm or a label like E2 from `tubeplan endpoints`")
     return point(value, where)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, subtable, text, whole
 from tubeplan_viz.cases.writing import shown_path
 
 HuLimit = float | str | None
@@ -46,7 +46,7 @@ class InputCase:
                 "give either a CT (--ct, key ct in [input]) or a mesh (--mesh, key mesh in [input]), exactly one of them"
             )
         if self.anatomy is not None and self.anatomy not in ANATOMIES:
-            raise CaseError(f"anatomy is {self.anatomy!r}, expected one of {', '.join(ANATOMIES)}")
+            raise CaseError(f"anatomy is {brief(self.anatomy)}, expected one of {', '.join(ANATOMIES)}")
         if self.connectivity not in (6, 26):
             raise CaseError(f"connectivity is {self.connectivity}, expected 6 or 26")
         if self.smoothing_mm is not None and not 0 <= self.smoothing_mm <= 10:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text
+from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, subtable, text
 from tubeplan_viz.cases.writing import shown_path
 from tubeplan_viz.measures import UrinarySettings
 
@@ -65,7 +65,7 @@ def measure_case(table: Mapping[str, Any], *, folder: Path | None, name: str) ->
         if isinstance(masks, str | os.PathLike):
             masks = os.fspath(masks).split(",")
         if not isinstance(masks, Sequence):
-            raise CaseError(f"{where} stone_masks: found {masks!r}, expected a list of files")
+            raise CaseError(f"{where} stone_masks: found {brief(masks)}, expected a list of files")
         given["stone_masks"] = tuple(located(mask, folder, f"{where} stone_masks") for mask in masks)
     if "structures" in given:
         given["structures"] = tuple(
@@ -73,7 +73,7 @@ def measure_case(table: Mapping[str, Any], *, folder: Path | None, name: str) ->
             for label, file in structure_files(given["structures"], f"{where} structures")
         )
     if not isinstance(given.get("abnormal_anatomy", False), bool):
-        raise CaseError(f"{where} abnormal_anatomy: found {given['abnormal_anatomy']!r}, expected true or false")
+        raise CaseError(f"{where} abnormal_anatomy: found {brief(given['abnormal_anatomy'])}, expected true or false")
     if "ureter_level_mm" in given:
         given["ureter_level_mm"] = number(given["ureter_level_mm"], f"{where} ureter_level_mm")
     return MeasureCase(**given)
@@ -84,7 +84,7 @@ def stone_points(value: Any, where: str) -> tuple[Point, ...]:
     if isinstance(value, str):
         value = [part for part in value.split(";") if part.strip()]
     if not isinstance(value, Sequence):
-        raise CaseError(f"{where}: found {value!r}, expected a list of points in mm")
+        raise CaseError(f"{where}: found {brief(value)}, expected a list of points in mm")
     return tuple(point(one, where) for one in value)
 
 
@@ -93,15 +93,15 @@ def structure_files(value: Any, where: str) -> list[tuple[str, str]]:
     if isinstance(value, str):
         pairs = [part.partition("=") for part in value.split(",") if part.strip()]
         if any(not sign or not label.strip() or not file.strip() for label, sign, file in pairs):
-            raise CaseError(f"{where}: found {value!r}, expected NAME=FILE, several with commas between")
+            raise CaseError(f"{where}: found {brief(value)}, expected NAME=FILE, several with commas between")
         return [(label.strip(), file.strip()) for label, _, file in pairs]
     if not isinstance(value, Sequence):
-        raise CaseError(f"{where}: found {value!r}, expected a list of tables with name and file")
+        raise CaseError(f"{where}: found {brief(value)}, expected a list of tables with name and file")
     found = []
     for one in value:
         check_keys(one, ("name", "file"), where, "key")
         if "name" not in one or "file" not in one:
-            raise CaseError(f"{where}: found {dict(one)!r}, expected both name and file")
+            raise CaseError(f"{where}: found {brief(dict(one))}, expected both name and file")
         found.append((text(one["name"], where), text(one["file"], where)))
     return found
 

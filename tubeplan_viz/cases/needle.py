@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, seed, subtable, text
+from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, seed, subtable, table_rows, text
 from tubeplan_viz.cases.needle_rows import (
     HU_KEYS,
     MONTE_CARLO_KEYS,
@@ -115,10 +115,10 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
     CaseError
         Naming the file, the table and the key.
     """
-    planner = dict(table.get("planner", {}))
+    planner = subtable(table, "planner", name)
     which = str(planner.pop("name", ""))
     if which not in NEEDLES:
-        raise CaseError(f"{name} [planner]: there is no needle planner {which!r}, expected {' or '.join(NEEDLES)}")
+        raise CaseError(f"{name} [planner]: there is no needle planner {brief(which)}, expected {' or '.join(NEEDLES)}")
     known = set(PLANAR_KEYS if which == "needle2d" else SPACE_KEYS) | {*PLACES, "kappa", "radius_mm", "safety_mm", "frame"}
     known |= {"skin"} if which == "needle3d" else set()
     own = gathered(table, planner, which, known, name)
@@ -126,7 +126,7 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
     check_keys(planner, ("method", "rng_seed", "time_budget"), f"{name} [planner]", "key")
     method = text(planner.get("method", NEEDLES[which][0]), f"{name} [planner] method")
     if method not in NEEDLES[which]:
-        raise CaseError(f"{name} [planner] method: {which} has no method {method!r}, expected {' or '.join(NEEDLES[which])}")
+        raise CaseError(f"{name} [planner] method: {which} has no method {brief(method)}, expected {' or '.join(NEEDLES[which])}")
     budget = planner.get("time_budget")
     flat = which == "needle2d"
     places = {key: place(own.pop(key), 2 if flat else 3, f"{name} {key}") for key in PLACES if key in own}
@@ -134,10 +134,10 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
         raise CaseError(f"{name}: no target was given; give target = {'[y, z]' if flat else '[x, y, z]'} in mm (--target)")
     if flat and "direction" in places:
         raise CaseError(f"{name}: needle2d finds its own insertion angle; leave direction out (angle_max_deg limits it)")
-    bodies = [*table.get("obstacles", []), *grown_bodies(given, flat, name)]
+    bodies = [*table_rows(table, "obstacles", name), *grown_bodies(given, flat, name)]
     frame = text(own.pop("frame", "LPS" if "ct" in given else "mesh"), f"{name} frame")
     if frame not in ("LPS", "mesh"):
-        raise CaseError(f"{name} frame: found {frame!r}, expected LPS (patient) or mesh (the case's own axes)")
+        raise CaseError(f"{name} frame: found {brief(frame)}, expected LPS (patient) or mesh (the case's own axes)")
     if flat and ("events" in table or "monte_carlo" in table):
         raise CaseError(f"{name}: events and the Monte Carlo are of needle3d; leave them out for needle2d")
     skin = flag(own.pop("skin", False), f"{name} skin")
@@ -155,7 +155,7 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
         rng_seed=seed(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
         time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
         obstacles=tuple(obstacle_case(row, flat, folder, f"{name} [[obstacles]] {k + 1}") for k, row in enumerate(bodies)),
-        events=tuple(event_case(row, f"{name} [[events]] {k + 1}") for k, row in enumerate(table.get("events", []))),
+        events=tuple(event_case(row, f"{name} [[events]] {k + 1}") for k, row in enumerate(table_rows(table, "events", name))),
         ct=located(given["ct"], folder, f"{name} [input] ct") if "ct" in given else None,
         series=text(given["series"], f"{name} [input] series") if "series" in given else None,
         skin=skin,
@@ -180,7 +180,7 @@ def grown_bodies(given: Mapping[str, Any], flat: bool, name: str) -> list[dict[s
 
 def gathered(table: Mapping[str, Any], planner: dict[str, Any], which: str, known: set[str], name: str) -> dict[str, Any]:
     """The needle's own keys from wherever they stand; one in two places is refused, an unknown one too."""
-    own = dict(table.get(which, {}))
+    own = subtable(table, which, name)
     check_keys(own, sorted(known), f"{name} [{which}]", "key")
     inputs, limits = subtable(table, "input", name), subtable(table, "limits", name)
     renamed = {"curvature_max": "kappa", "clearance_min": "safety_mm"}
@@ -207,7 +207,7 @@ def gathered(table: Mapping[str, Any], planner: dict[str, Any], which: str, know
 def flag(value: Any, where: str) -> bool:
     """A value that must be true or false."""
     if not isinstance(value, bool):
-        raise CaseError(f"{where}: found {value!r}, expected true or false")
+        raise CaseError(f"{where}: found {brief(value)}, expected true or false")
     return value
 
 
@@ -225,7 +225,7 @@ def settings_of(own: dict[str, Any], flat: bool, name: str) -> tuple[PlanarSetti
         else:
             found = number(value, f"{name} {key}")
             if key in WHOLE and found != int(found):
-                raise CaseError(f"{name} {key}: found {value!r}, expected a whole number")
+                raise CaseError(f"{name} {key}: found {brief(value)}, expected a whole number")
             found = int(found) if key in WHOLE else float(np.radians(found)) if key.endswith("_deg") else found
         if flat:
             planar[PLANAR_KEYS[key]] = found

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, read_table, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, read_table, table_rows, text, whole
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 
 FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
@@ -68,10 +68,10 @@ def place(value: Any, size: int, where: str) -> tuple[float, ...]:
             value = [float(part) for part in value.split(",")]
         except ValueError:
             raise CaseError(
-                f"{where}: found {value!r}, expected {size} numbers in mm, like {'0,90' if size == 2 else '0,0,100'}"
+                f"{where}: found {brief(value)}, expected {size} numbers in mm, like {'0,90' if size == 2 else '0,0,100'}"
             ) from None
     if not isinstance(value, Sequence) or len(value) != size:
-        raise CaseError(f"{where}: found {value!r}, expected {size} numbers in mm")
+        raise CaseError(f"{where}: found {brief(value)}, expected {size} numbers in mm")
     return tuple(number(part, where) for part in value)
 
 
@@ -83,7 +83,9 @@ def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> Obst
     kinds, size = (FLAT_KINDS, 2) if flat else (SPACE_KINDS, 3)
     kind = str(row.get("kind"))
     if kind not in kinds:
-        raise CaseError(f"{where} kind: found {kind}, expected {', '.join(kinds)} {'in the plane' if flat else 'in space'}")
+        raise CaseError(
+            f"{where} kind: found {brief(kind)}, expected {', '.join(kinds)} {'in the plane' if flat else 'in space'}"
+        )
     for key in NEEDED[kind]:
         if key not in row:
             raise CaseError(f"{where}: a {kind} needs {key}")
@@ -98,7 +100,7 @@ def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> Obst
         kind=kind,
         center=place(row["center"], size, f"{where} center") if "center" in row else None,
         radius_mm=number(row["radius_mm"], f"{where} radius_mm") if "radius_mm" in row else None,
-        points=tuple(place(p, size, f"{where} points") for p in row["points"]) if "points" in row else None,
+        points=tuple(place(p, size, f"{where} points") for p in table_rows(row, "points", where)) if "points" in row else None,
         file=located(row["file"], folder, f"{where} file") if "file" in row else None,
         hu_min=lowest,
         hu_max=highest,
@@ -144,5 +146,5 @@ def monte_carlo_settings(table: Any, where: str) -> MonteCarloSettings:
     check_keys(table, list(MONTE_CARLO_KEYS), where, "key")
     found: dict[str, Any] = {MONTE_CARLO_KEYS[key]: number(value, f"{where} {key}") for key, value in table.items()}
     if "runs" not in found or found["runs"] != int(found["runs"]):
-        raise CaseError(f"{where} runs: found {table.get('runs')!r}, expected a whole number of insertions")
+        raise CaseError(f"{where} runs: found {brief(table.get('runs'))}, expected a whole number of insertions")
     return MonteCarloSettings(**{**found, "runs": int(found["runs"])})

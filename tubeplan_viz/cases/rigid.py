@@ -11,7 +11,7 @@ import numpy as np
 
 from segmentation.anatomy.nasal.scene import SIDES, STRUCTURES
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import check_keys, located, number, point, subtable, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, subtable, text, whole
 from tubeplan_viz.cases.writing import case_file, in_unit_of, listed, shown_path, written
 from tubeplan_viz.instruments.rigid_catalogue import coupled_instrument, read_rigid_catalogue, thinnest_pair
 from tubeplan_viz.rigid import GOALS, CoupledInstrument, SearchSettings, Weights
@@ -100,12 +100,12 @@ def make_rigid_case(table: Mapping[str, Any], *, folder: Path | None = None, nam
         raise CaseError(f"{name}: no side was given; give --side left or --side right, the patient's")
     side = text(own["side"], f"{name} [rigid] side")
     if side not in SIDES:
-        raise CaseError(f"{name} [rigid] side: found {side!r}, expected left or right, the patient's")
+        raise CaseError(f"{name} [rigid] side: found {brief(side)}, expected left or right, the patient's")
     if "lesion" in own and "lesion_mask" in own:
         raise CaseError(f"{name}: the lesion is given both as a point and as a mask; give one of them")
     method = text(planner.get("method", METHODS[0]), f"{name} [planner] method")
     if method not in METHODS:
-        raise CaseError(f"{name} [planner] method: rigid has no method {method!r}, expected {' or '.join(METHODS)}")
+        raise CaseError(f"{name} [planner] method: rigid has no method {brief(method)}, expected {' or '.join(METHODS)}")
     shrinkage = number(own.get("shrinkage_percent", 100.0), f"{name} [rigid] shrinkage_percent")
     if not 0.0 <= shrinkage <= 100.0:
         raise CaseError(f"{name} [rigid] shrinkage_percent: found {shrinkage:g}, expected 0 to 100")
@@ -158,7 +158,7 @@ def box(value: Any, where: str) -> tuple[float, ...]:
         except ValueError:
             value = []
     if not isinstance(value, list | tuple) or len(value) != 6:
-        raise CaseError(f"{where}: found {value!r}, expected two opposite corners, X,Y,Z,X,Y,Z in LPS mm")
+        raise CaseError(f"{where}: found {brief(value)}, expected two opposite corners, X,Y,Z,X,Y,Z in LPS mm")
     return tuple(number(part, where) for part in value)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 from segmentation.errors import CaseError
 from tubeplan_viz.cases.fields import (
     Place,
+    brief,
     check_keys,
     end_place,
     error_of_pose,
@@ -51,7 +52,7 @@ class PlannerCase:
 
     def __post_init__(self) -> None:
         if self.name not in PLANNERS:
-            raise CaseError(f"there is no planner {self.name!r} yet, expected {' or '.join(PLANNERS)}")
+            raise CaseError(f"there is no planner {brief(self.name)} yet, expected {' or '.join(PLANNERS)}")
         if self.time_budget is not None and not self.time_budget > 0:
             raise CaseError(f"time_budget is {self.time_budget:g} s, expected more than 0")
         if isinstance(self.tolerance, tuple):
@@ -74,7 +75,7 @@ class Case:
     def __post_init__(self) -> None:
         settings, aim = self.tube_settings, self.optimal.objective
         if settings.method != "optimal" and aim != OptimalSettings().objective:
-            raise CaseError(f"objective is {aim!r}, which is for --method optimal; {settings.method} has none, leave it out")
+            raise CaseError(f"objective is {brief(aim)}, which is for --method optimal; {settings.method} has none, leave it out")
 
     @property
     def tube_settings(self) -> TubeSettings:
@@ -144,7 +145,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
     if "rng_seed" in planner:
         planner["rng_seed"] = seed(planner["rng_seed"], f"{name} [planner] rng_seed")
     if not isinstance(planner.get("closed_ends", False), bool):
-        raise CaseError(f"{name} [planner] closed_ends: found {planner['closed_ends']!r}, expected true or false")
+        raise CaseError(f"{name} [planner] closed_ends: found {brief(planner['closed_ends'])}, expected true or false")
     if planner.get("time_budget") is not None:
         planner["time_budget"] = number(planner["time_budget"], f"{name} [planner] time_budget")
     if planner.get("tolerance") is not None:
@@ -176,7 +177,7 @@ def tube_value(key: str, value: Any, where: str) -> Any:
     """A value of the table [tube] in the type of its setting."""
     if key == "scans":
         if isinstance(value, str) or not isinstance(value, Sequence):
-            raise CaseError(f"{where}: found {value!r}, expected a list of scan names")
+            raise CaseError(f"{where}: found {brief(value)}, expected a list of scan names")
         return tuple(text(scan, where) for scan in value)
     if key == "objective":
         return text(value, where)
