@@ -21,6 +21,7 @@ from reports.overlay import Line, Overlay, overlay_chart
 from reports.still import Label, View, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH
+from reports.turnable import placed, rounded
 from reports.wall import LightMesh, light_mesh
 from reports.words import Verdict, verdict
 from segmentation.arrays import FloatArray
@@ -127,10 +128,8 @@ def make_comparison_page(comparison: Comparison) -> ComparisonPage:
         document=document,
         scene={
             "mesh": mesh.packed() if mesh is not None else None,
-            "view": {"toward": _rounded(view.toward), "up": _rounded(view.up)} if view is not None else None,
-            "labels": [
-                {"point": _rounded(mark.point, 3), "text": mark.text, "kind": mark.kind, "rank": mark.rank} for mark in marks
-            ],
+            "view": {"toward": rounded(view.toward), "up": rounded(view.up)} if view is not None else None,
+            "labels": placed(marks),
             "clearance": runs[0].result["limits"].get("clearance_min_mm"),
             "start": _start(runs, drawn),
         },
@@ -301,10 +300,6 @@ def _plain(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _rounded(vector: FloatArray, digits: int = 4) -> list[float]:
-    return [round(float(v), digits) for v in vector]
 
 
 __all__ = ["Card", "ComparisonPage", "make_comparison_page"]

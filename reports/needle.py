@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from markupsafe import Markup
+
 from reports import workspace
 from reports.derived import derived_values
 from reports.folds import Fold, folds
 from reports.needle_charts import convergence_charts
-from reports.needle_ct import Surroundings, ct_drawings, space_drawing
+from reports.needle_ct import Space, Surroundings, ct_drawings, space_of
 from reports.needle_drawings import cloud_drawings, flat_view, layers_of
 from reports.needle_tables import (
     chances_table,
@@ -20,11 +22,12 @@ from reports.needle_tables import (
     insertion_table,
     obstacles_table,
 )
-from reports.numbers import Phrase, Source, phrase, sentence
+from reports.numbers import Phrase, Source, phrase, printed, sentence
 from reports.parts import Drawing, Key, PlanPage, Table, place_keys
 
 WORDS = {"ok": "Holds", "flagged": "Flagged", "infeasible": "No path"}
-PLACES = 2
+PLACES, TIP_PLACES = 2, 3
+TOUCH_MM = 0.005  # what is printed as 0.00
 CUTS_LINE = (
     "Planes along the needle and through the tightest place (white dot), {} window. Outlines: obstacles; dashed: the safety "
     "distance around them. The path is faint where it is more than 3 mm from the plane."
@@ -37,10 +40,14 @@ class NeedlePage(PlanPage):
 
     cuts_line: str
     cuts: tuple[Drawing, ...]
-    space: Drawing | None
+    frame: str
+    space: Space | None
+    ramp: tuple[str, str] | None
+    narrowest: float | None
     views_line: str
     views: tuple[Drawing, ...]
-    charts: tuple[Drawing, ...]
+    charts: Mapping[str, Markup]
+    units: Mapping[str, str]
     clouds: tuple[Drawing, ...]
     convergence: tuple[Drawing, ...]
     tables: tuple[Table, ...]
@@ -55,7 +62,9 @@ def make_needle_page(case_id: str, result: Mapping[str, Any], around: Surroundin
     details = result["details"]
     course = workspace.make_course(result["path"] or {}, None, 2)
     charts = workspace.profiles(course, source, {}) if course is not None else {}
-    units = {"clearance": "mm from the path to the nearest obstacle", "curvature": "1/mm"}
+    ramp = None
+    if course is not None and course.clearance is not None:
+        ramp = workspace.roominess(course, source.value("limits.clearance_min_mm"))[0]
     makers = (forms_table, controls_table, front_table, insertion_table, chances_table, obstacles_table)
     tables = [made for maker in makers if (made := maker(source)) is not None]
     views = [("In the plane: y to the right, z downwards", (1, 2))]
@@ -73,18 +82,20 @@ def make_needle_page(case_id: str, result: Mapping[str, Any], around: Surroundin
         status=status,
         word=WORDS[status],
         line="Planned onto the target" if status == "ok" else "Nothing to insert as it stands",
-        headline=phrase("The needle reaches the target and keeps its distance" if status == "ok" else "No path for this needle"),
+        headline=phrase(_headline(source, status)),
         lead=_lead(source, status),
         warnings=tuple(str(text) for text in details.get("warnings") or ()),
         keys=_keys(source),
         cuts_line="" if window is None else CUTS_LINE.format(window.label.lower()),
         cuts=cuts,
-        space=space_drawing(result, around),
-        views_line=_views_line(details),
+        frame=str(result["frame"]),
+        space=space_of(result, around, ramp),
+        ramp=None if ramp is None else (printed(ramp[0], 1), printed(ramp[1], 1)),
+        narrowest=None if course is None or course.clearance is None else float(course.arc[course.clearance.argmin()]),
+        views_line=_views_line(result),
         views=tuple(Drawing(title, flat_view(result, axes, layers)) for title, axes in views),
-        charts=tuple(
-            Drawing(kind.capitalize(), charts[kind], units[kind]) for kind in ("clearance", "curvature") if kind in charts
-        ),
+        charts=charts,
+        units={"clearance": "mm from the path to the nearest obstacle", "curvature": "1/mm"},
         clouds=cloud_drawings(result),
         convergence=tuple(
             Drawing(title, chart, unit) for title, unit, chart in convergence_charts(details.get("convergence") or ())
@@ -94,15 +105,37 @@ def make_needle_page(case_id: str, result: Mapping[str, Any], around: Surroundin
     )
 
 
-def _views_line(details: Mapping[str, Any]) -> str:
+def _views_line(result: Mapping[str, Any]) -> str:
+    details = result["details"]
     forms = sum(form["feasible"] for form in details.get("forms", ()))
     shown = f"The chosen path and the other {forms - 1} feasible forms." if forms > 1 else "The planned path."
     pushed = " Dashed red: the path pushed after the events." if details.get("insertion") else ""
     trials = " Faint: insertions at random." if details.get("monte_carlo") else ""
     kinds = {body["kind"] for body in details.get("obstacles", ())}
-    rings = " Dashed rings and pale bands: the safety distance around obstacles." if kinds - {"mask", "mesh"} else ""
+    asked = float(result["limits"]["clearance_min_mm"])
+    rings = " Dashed rings and pale bands: the safety distance around obstacles." if kinds - {"mask", "mesh"} and asked else ""
     dots = " Dots: the rim of obstacles from files." if kinds & {"mask", "mesh"} else ""
     return shown + pushed + trials + rings + dots
+
+
+def _touched(source: Source) -> bool:
+    """Whether no distance was asked and none is kept: the path runs along the rim of an obstacle."""
+    asked, least = source.value("limits.clearance_min_mm"), source.value("metrics.clearance_min_mm")
+    return asked == 0.0 and least is not None and least < TOUCH_MM
+
+
+def _nearest(source: Source) -> str:
+    """The obstacle to which the path comes nearest, as the table of obstacles names it; empty for an older result."""
+    bodies = source.result["details"].get("obstacles") or ()
+    told = [(float(body["clearance_mm"]), k) for k, body in enumerate(bodies) if "clearance_mm" in body]
+    return f"obstacle {min(told)[1] + 1} ({bodies[min(told)[1]]['kind']})" if told else ""
+
+
+def _headline(source: Source, status: str) -> str:
+    if status != "ok":
+        return "No path for this needle"
+    kept = "grazes an obstacle on the way" if _touched(source) else "keeps its distance"
+    return f"The needle reaches the target and {kept}"
 
 
 def _lead(source: Source, status: str) -> Phrase:
@@ -111,12 +144,15 @@ def _lead(source: Source, status: str) -> Phrase:
         return phrase(sentence(str(reason)))
     least = source.figure("metrics.clearance_min_mm", PLACES, "mm")
     asked = source.need("limits.clearance_min_mm", PLACES, "mm")
-    error = source.need("metrics.tip_error_mm", 6, "mm")
-    kept = (
-        phrase("It passes obstacles at ", least, " or more, ", asked, " asked.")
-        if least is not None
-        else phrase("There is no obstacle.")
-    )
+    error = source.need("metrics.tip_error_mm", TIP_PLACES, "mm")
+    if least is None:
+        kept = phrase("There is no obstacle.")
+    elif _touched(source):
+        kept = phrase(
+            f"No distance was asked, and it touches {_nearest(source) or 'an obstacle'}; a safety distance keeps it off."
+        )
+    else:
+        kept = phrase("It passes obstacles at ", least, " or more, ", asked, " asked.")
     return phrase(kept, " The tip ends ", error, " from the target.")
 
 
@@ -125,11 +161,16 @@ def _keys(source: Source) -> tuple[Key, ...]:
     curvature = source.need("limits.curvature_max_per_mm", 4, "1/mm")
     radius = source.need("derived:bend_radius_limit_mm", 1, "mm")
     made = [Key("Needle bends with radius", phrase(radius), phrase("curvature ", curvature, ", clearance asked ", asked))]
-    made += place_keys(source)
-    length = source.figure("metrics.length_mm", 3, "mm")
+    near = _nearest(source)
+    for key in place_keys(source):
+        if key.term == "Worst margin":
+            value = phrase(source.need("derived:margin_mm", PLACES, "mm")) if _touched(source) else key.value
+            key = Key(key.term, value, phrase(key.more, f", from {near}" if near else ""), key.tone)
+        made.append(key)
+    length = source.figure("metrics.length_mm", 1, "mm")
     if length is not None:
         made.append(Key("Length", phrase(length), phrase("from entry to tip")))
-    angle = source.figure("details.insertion_angle_deg", 3, "°")
+    angle = source.figure("details.insertion_angle_deg", 1, "°")
     if angle is not None:
         made.append(Key("Insertion angle", phrase(angle), phrase(f"form {source.result['details'].get('chosen_form')}")))
     return tuple(made)

@@ -1,4 +1,4 @@
-"""A needle in its surroundings: CT planes through the tightest place and along the needle, and a picture in space."""
+"""A needle in its surroundings: CT planes through the tightest place and along the needle, and the scene in space."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from skimage.measure import find_contours
 from reports.parts import Drawing
 from reports.places import PLANES
 from reports.slices import Window, cut, png, windows_for
-from reports.still import MARGIN, TALL, WIDE, Label, View, choose_view, still_picture
+from reports.still import Label, View, choose_view, still_picture
 from reports.svg import tag
-from reports.wall import LightMesh
+from reports.turnable import turnable
+from reports.wall import LightMesh, light_mesh
 from segmentation.arrays import BoolArray, FloatArray
+from segmentation.mesh import Surface
 from segmentation.volume import Volume
 from tubeplan_viz.needle.shape import level_surface
 
@@ -133,7 +135,15 @@ def runs(flags: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b - 1)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]
 
 
-def space_drawing(result: Mapping[str, Any], around: Surroundings) -> Drawing | None:
+@dataclass(frozen=True, eq=False)
+class Space:
+    """The path and what stands beside it, to be turned: the picture that stands still and what the script needs."""
+
+    still: Markup
+    scene: Mapping[str, Any]
+
+
+def space_of(result: Mapping[str, Any], around: Surroundings, ramp: tuple[float, float] | None) -> Space | None:
     """Obstacles beside the path as glass, with the path, what was pushed, and both ends; None in the plane or without a path."""
     path = result["path"]
     if path is None or around.distance is None or result["planner"]["name"] == "needle2d":
@@ -142,28 +152,19 @@ def space_drawing(result: Mapping[str, Any], around: Surroundings) -> Drawing | 
     vertices, faces = level_surface(around.distance, points, beside=BESIDE_MM)
     if not len(faces):
         return None
+    shown = light_mesh(Surface(vertices, faces, np.full(len(faces), -1), frame="mesh"))
     # The path's points belong to no face; with them the picture is wide enough for both.
-    mesh = LightMesh(np.vstack([vertices, points]), faces, len(faces))
+    mesh = LightMesh(np.vstack([shown.vertices, points]), shown.faces, shown.planned)
     labels = [Label(points[0], "Entry", "start", 0), Label(points[-1], "Target", "goal", 0)]
-    if path["clearance_mm"]:
-        tight = int(np.argmin(path["clearance_mm"]))
-        labels.append(Label(points[tight], f"{path['clearance_mm'][tight]:.2f} mm", "clearance", 1))
+    tight = int(np.argmin(path["clearance_mm"]))
+    labels.append(Label(points[tight], f"{path['clearance_mm'][tight]:.2f} mm", "clearance", 1))
     insertion = result["details"].get("insertion")
-    lines = [("needle-pushed", np.array(insertion["points_mm"], float))] if insertion else []
+    pushed = np.array(insertion["points_mm"], float) if insertion else None
+    lines = [] if pushed is None else [("needle-pushed", pushed)]
     view = choose_view(points, "LPS") if result["frame"] == "LPS" else downwards(points)
-    words = "Obstacles beside the path in space, with the planned path from entry to target."
-    drawn = still_picture(mesh, points, (), labels, view, words, lines=lines)
-    drawn = Markup(drawn.replace(f"0 0 {WIDE} {TALL}", trimmed(mesh, view), 1))
-    return Drawing("In space", drawn, "from the front" if result["frame"] == "LPS" else "")
-
-
-def trimmed(mesh: LightMesh, view: View) -> str:
-    """The part of a still picture that is not empty above and below, as its view box."""
-    right = np.cross(view.up, view.toward)
-    size = np.ptp(mesh.vertices @ np.column_stack([right, np.cross(view.toward, right)]), axis=0)
-    scale = min((WIDE - 2 * MARGIN) / max(size[0], 1e-6), (TALL - 2 * MARGIN) / max(size[1], 1e-6))
-    tall = min(float(size[1] * scale) + 4 * MARGIN, float(TALL))
-    return f"0 {0.5 * (TALL - tall):.0f} {WIDE} {tall:.0f}"
+    words = "obstacles beside the path, planned path from entry to target"
+    still = still_picture(mesh, points, (), labels, view, f"In space: {words}.", lines=lines)
+    return Space(still, turnable(mesh, view, labels, start=tight, ramp=ramp, before=pushed, body="--clearance", words=words))
 
 
 def downwards(points: FloatArray) -> View:

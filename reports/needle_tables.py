@@ -163,10 +163,9 @@ def obstacles_table(source: Source) -> Table | None:
             if all(center)
             else phrase(file_words(body))
         )
-        rows.append((phrase(f"{k + 1}, {body['kind']}"), place, *cells(source, key, ("radius_mm", 2))))
-    return Table(
-        "obstacles", "Obstacles", "As given in the case file.", ("Obstacle", "Centre (x, y, z), mm", "Radius, mm"), tuple(rows)
-    )
+        rows.append((phrase(f"{k + 1}, {body['kind']}"), place, *cells(source, key, ("radius_mm", 2), ("clearance_mm", 2))))
+    head = ("Obstacle", "Centre (x, y, z), mm", "Radius, mm", "Clearance, mm")
+    return Table("obstacles", "Obstacles", "As given in the case file, and how near the path comes to each.", head, tuple(rows))
 
 
 def file_words(body: Mapping[str, Any]) -> str:

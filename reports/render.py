@@ -179,7 +179,14 @@ def render_needle(case_id: str, result: Mapping[str, Any], around: Surroundings)
         If the result holds numbers that are not finite.
     """
     page = make_needle_page(case_id, result, around)
-    return _filled("needle.html.j2", script=_plain(), style=_style(), page=page, result_json=embedded(result))
+    return _filled(
+        "needle.html.j2",
+        script=_plain() if page.space is None else _part("scene", "dist", "report.js"),
+        style=_style(),
+        page=page,
+        result_json=embedded(result),
+        scene_json=embedded({} if page.space is None else page.space.scene),
+    )
 
 
 def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surface, stills: Sequence[Still] = ()) -> str:

@@ -219,6 +219,9 @@ def content_of(case: NeedleCase, ground: Ground, outcome: Outcome, warnings: lis
     if (outcome.controls.curvatures < case.kappa).any():
         details["duty_cycle"] = duty_details(outcome.pose, outcome.controls, case.kappa)
     lower = float(outcome.clearances.min()) if outcome.clearances is not None and len(outcome.clearances) else None
+    if outcome.clearances is not None:
+        for told, gap in zip(details["obstacles"], outcome.clearances, strict=True):
+            told["clearance_mm"] = float(gap)
     content["path"] = {"s_mm": s, "points_mm": points, "curvature_per_mm": curvature, "clearance_mm": clearance}
     content["metrics"] = {
         "length_mm": outcome.controls.length,

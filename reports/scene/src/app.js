@@ -164,7 +164,7 @@ async function space() {
   }, {
     onPick: setCursor,
     step: (way) => setCursor(now + 4 * way),
-    label: '3D scene: wall of the lumen, planned path, flagged parts. Arrow keys turn, plus and minus zoom, comma and full stop step along the path, 0 resets.',
+    label: `3D scene: ${extra.words}. Arrow keys turn, plus and minus zoom, comma and full stop step along the path, 0 resets.`,
   });
   if (!view3d) return;
   const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
@@ -172,7 +172,7 @@ async function space() {
     const tight = rgb(css('--tight')), roomy = rgb(css('--roomy'));
     const share = (i) => (extra.ramp && clearance ? Math.max(0, Math.min(1, (clearance[i] - extra.ramp[0]) / (extra.ramp[1] - extra.ramp[0]))) : 0.5);
     const mix = (u) => { const t = share(Math.round(u * (count - 1))); return `rgb(${tight.map((v, i) => Math.round(v + (roomy[i] - v) * t)).join(',')})`; };
-    view3d.paint({ dark: dark(), wall: css('--wall'), clearance: mix, flagClearance: css('--clearance'), flagCurvature: css('--curvature'),
+    view3d.paint({ dark: dark(), wall: css(extra.body), solid: extra.body !== '--wall', clearance: mix, flagClearance: css('--clearance'), flagCurvature: css('--curvature'),
       feature: css('--feature'), before: css('--before'), cursor: css('--ink'), surface: css('--surface') });
   };
   painters.push(paint);

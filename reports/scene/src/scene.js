@@ -190,7 +190,7 @@ export function createScene(host, model, { onPick, onDraw }) {
       for (const m of [skin.back, skin.front]) m.material.uniforms.colour.value.set(theme.wall);
       skin.back.material.uniforms.face.value = theme.dark ? 0.10 : 0.12;
       skin.back.material.uniforms.rim.value = theme.dark ? 0.30 : 0.34;
-      skin.front.material.uniforms.face.value = 0.05;
+      skin.front.material.uniforms.face.value = theme.solid ? 0.22 : 0.05; // a body to keep out of is denser than a wall to look through
       skin.front.material.uniforms.rim.value = theme.dark ? 0.85 : 0.74;
     }
     line.geometry.dispose();
