@@ -228,7 +228,6 @@ def channels(problem: Problem, paths: Sequence[RigidPath]) -> list[IntArray]:
 
     What the shafts pass in front of the start is skin that gives way, and air.
     """
-    volume = problem.scene.volume
     solid = problem.scene.tissue != Tissue.AIR
     frame = problem.obstacles.frame
     made = []
@@ -241,7 +240,6 @@ def channels(problem: Problem, paths: Sequence[RigidPath]) -> list[IntArray]:
             near = to_frame(bodies.cut(np.repeat(b[None], 2, axis=0), np.full(2, behind)), frame)
             found.extend(voxels_inside(near.take(np.array([k])), solid, frame.spacing) for k in range(2))
         made.append(np.unique(np.concatenate(found)))
-    assert solid.shape == volume.voxels.shape
     return made
 
 

@@ -9,7 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from segmentation.arrays import BoolArray, FloatArray
+from segmentation.arrays import BoolArray, FloatArray, frozen_array
 from segmentation.volume import Volume
 
 SIDES = ("left", "right")  # the patient's
@@ -78,3 +78,11 @@ class NasalScene:
     origin: Mapping[str, str]
     midline: FloatArray
     notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        shape = self.volume.voxels.shape
+        object.__setattr__(self, "tissue", frozen_array(self.tissue, shape, "tissue", dtype=np.uint8))
+        # Many and large: looked at, not copied.
+        for name, mask in self.structures.items():
+            if mask.shape != shape:
+                raise ValueError(f"{name} has shape {mask.shape}, expected {shape}: one value for each voxel")

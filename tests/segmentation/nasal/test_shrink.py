@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -96,3 +97,13 @@ def test_a_wrong_amount_or_side_is_refused(phantom: NasalPhantom) -> None:
         shrink(phantom.scene, 1.5, "left")
     with pytest.raises(CaseError, match="mucosa of side 'up' cannot be shrunk"):
         shrink(phantom.scene, 0.5, "up")
+
+
+def test_a_scene_whose_masks_lie_on_other_voxels_is_refused() -> None:
+    scene = slab(mucosa=6, bone=None)
+    with pytest.raises(ValueError, match=r"tissue has shape \(11, 40, 60\), expected \(12, 40, 60\)"):
+        replace(scene, tissue=scene.tissue[1:])
+    with pytest.raises(ValueError, match=r"septum has shape \(12, 40, 59\), expected \(12, 40, 60\)"):
+        replace(scene, structures={"septum": scene.structures["septum"][:, :, 1:]})
+    with pytest.raises(ValueError, match="read-only"):
+        scene.tissue[0, 0, 0] = Tissue.BONE
