@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,13 @@ def urography(*, seed: int = SEED, settings: UrographySettings | None = None) ->
     Everything is calculated in double precision, so that the rounding to whole HU comes out the
     same on any machine.
     """
-    settings = settings or UrographySettings()
+    return calculated(seed, settings or UrographySettings())
+
+
+# Benchmarks and tests ask for the same scan again and again; it is frozen, and takes 4 s to calculate.
+@lru_cache(maxsize=2)
+def calculated(seed: int, settings: UrographySettings) -> Urography:
+    """The scan of a seed and a grid."""
     canvas = empty_canvas(settings)
     system = collecting_system(lower_border(settings))
     anatomy, quality = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))

@@ -55,7 +55,7 @@ def imaged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     image.SetOrigin((-90.0, -40.0, 0.0))
     sitk.WriteImage(image, str(folder / "ct.nii.gz"))
     asked = ["--hu-min", "300", "--target", "20,0,30", "--entry=-75,0,30", "--direction", "1,0,0", "--skin"]
-    more = ["--entry-radius", "12", "--cone", "15", "--kappa", "0.01", "--safety", "1", "--restarts", "1"]
+    more = ["--entry-radius", "12", "--cone", "15", "--kappa", "0.01", "--safety", "1", "--restarts", "1", "--pieces", "3"]
     status = status_of(
         ["plan", "needle3d", "--ct", str(folder / "ct.nii.gz"), *asked, *more, "-o", str(folder / "run"), "--quiet"]
     )
