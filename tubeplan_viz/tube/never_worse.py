@@ -47,6 +47,14 @@ def standing(curve: SplineCurve, passage: Passage) -> Standing:
     return Standing(excess=max(excess, 0.0), clearance=clearance)
 
 
+def standing_of(proposal: Proposal, passage: Passage) -> Standing:
+    """The bounds of a proposal: the end of a phase has them with it."""
+    if proposal.clearance is None:
+        return standing(proposal.curve, passage)
+    excess = proposal.curvature / passage.limits.curvature_max - 1.0
+    return Standing(excess=max(excess, 0.0), clearance=proposal.clearance.bound)
+
+
 def never_worse(passage: Passage, settings: OptimalSettings, other: Callable[[], SplineCurve]) -> Iterator[Proposal]:
     """Yield the rounds of the optimal refinement; the last one is no worse than the path that `other` gives.
 
@@ -71,7 +79,7 @@ def never_worse(passage: Passage, settings: OptimalSettings, other: Callable[[],
             yield last
     except NoPathError as error:
         failure = error
-    ours = Standing(excess=float("inf"), clearance=0.0) if last is None else standing(last.curve, passage)
+    ours = Standing(excess=float("inf"), clearance=0.0) if last is None else standing_of(last, passage)
     wanted = BINDING * float(passage.wall.distance(passage.line[[0, -1]]).min())
     if settings.objective != "clearance":
         wanted = min(wanted, passage.limits.clearance_min)
@@ -86,7 +94,7 @@ def never_worse(passage: Passage, settings: OptimalSettings, other: Callable[[],
     theirs = standing(curve, passage)
     if theirs.beats(ours) and theirs.clearance > 0.0:
         last = yield from onwards(passage, settings, curve, theirs)
-        ours = standing(last.curve, passage)
+        ours = standing_of(last, passage)
     elif failure is not None:
         raise failure
     if last is not None and ours.excess > 0.0:
@@ -104,7 +112,7 @@ def onwards(
         last = given if proposal.phase == "fit" else proposal
         yield last
     assert given is not None
-    if theirs.beats(standing(last.curve, passage)):
+    if theirs.beats(standing_of(last, passage)):
         last = replace(given, decisions=("the refinement lost from there: the path of the feature iteration stands",))
         yield last
     return last
@@ -130,5 +138,5 @@ def past_sharp_places(
     except NoPathError:
         # No spline follows the line found: the best path stands, and nothing was shown in its place.
         return
-    if not standing(last.curve, passage).beats(ours):
+    if not standing_of(last, passage).beats(ours):
         yield replace(best, decisions=("the refinement ends no better from there: the path before the search stands",))
