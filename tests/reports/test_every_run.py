@@ -110,6 +110,31 @@ def document_of(run: Path) -> dict[str, Any]:
     return dict(json.loads(next(run / name for name in DOCUMENTS if (run / name).exists()).read_text(encoding="utf-8")))
 
 
+def test_the_scene_of_a_needles_page_opens_at_the_tightest_place_and_turns(made: Callable[[str], Path], browser: Any) -> None:
+    run = made("needle3d")
+    path = document_of(run)["path"]
+    tight = int(np.argmin(path["clearance_mm"]))
+    context = browser.new_context(viewport={"width": 1440, "height": 900}, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto((run / "report.html").as_uri())
+    for _ in range(400):  # the page's policy lets no condition be waited for within it
+        if page.evaluate("globalThis.tubeplanReady === true"):
+            break
+        page.wait_for_timeout(50)
+    page.wait_for_timeout(250)
+    assert page.locator("#labels b").all_text_contents() == ["Entry", "Target", f"{path['clearance_mm'][tight]:.2f} mm"]
+    assert page.locator("#at").text_content() == f"{path['s_mm'][tight]:.1f}\u00a0mm"
+    assert page.locator("#at-clearance").text_content() == f"{path['clearance_mm'][tight]:.2f}\u00a0mm"
+    before = page.evaluate("tubeplanCursor()")
+    page.locator("[data-view=side]").click()
+    page.wait_for_timeout(250)
+    assert np.linalg.norm(np.subtract(page.evaluate("tubeplanCursor()"), before)) > 1.0
+    page.locator("#place").evaluate("(slider) => { slider.value = 0; slider.dispatchEvent(new Event('input')); }")
+    page.wait_for_timeout(250)
+    assert page.locator("#at").text_content() == "0.0\u00a0mm"
+    context.close()
+
+
 def all_known(run: Path, numbers_shown: Any) -> set[float]:
     """Every number of the run's document and those that follow from it by a documented formula."""
     document = document_of(run)
