@@ -324,9 +324,9 @@ def _start_index(course: Course | None, source: Source) -> int:
     if course is None:
         return 0
     margin, over = source.value("derived:margin_mm"), source.value("derived:curvature_excess_percent")
-    if over is not None and over > 0 and (margin is None or margin >= 0):
-        return int(course.curvature.argmax())
-    return int(course.curvature.argmax() if course.clearance is None else course.clearance.argmin())
+    sharp = over is not None and over > 0 and (margin is None or margin >= 0)
+    at = worst_place(source, "curvature" if sharp or course.clearance is None else "clearance")
+    return course.index_at(at.value) if at is not None else 0
 
 
 def _packed_rims(course: Course | None) -> dict[str, Any] | None:

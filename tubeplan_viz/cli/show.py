@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -81,28 +82,77 @@ def report_plan(result: Mapping[str, Any], folder: Path, *, as_json: bool) -> in
         files = sorted(entry.name for entry in folder.iterdir())
         typer.echo(json.dumps({**{key: result[key] for key in keys}, "folder": str(folder), "files": files}))
         return status
-    metrics, limits = result["metrics"], result["limits"]
-    limited = [limits[key] is not None for key in ("clearance_min_mm", "curvature_max_per_mm")]
-    kept = "both limits are kept" if all(limited) else "the limit is kept" if any(limited) else "the path is free"
-    words = {0: f"holds: {kept} and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
-    typer.echo(words if result["reason"] is None else f"{words}: {result['reason']}")
-    told = (
-        ("path {:.1f} mm", metrics["length_mm"], ()),
-        ("least clearance {:.2f} of {:g} mm", metrics["clearance_min_mm"], (limits["clearance_min_mm"],)),
-        ("largest curvature {:.4f} of {:g} 1/mm", metrics["curvature_max_per_mm"], (limits["curvature_max_per_mm"],)),
-        ("tip error {:.2g} mm", metrics["tip_error_mm"], ()),
-    )
-    shown = [form.format(value, *limit) for form, value, limit in told if value is not None]
-    if shown:
-        typer.echo(", ".join(shown))
-    for flag in result["flagged_intervals"]:
-        unit = "mm" if flag["kind"] == "clearance" else "1/mm"
-        typer.echo(
-            f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, "
-            f"worst {flag['worst']:.4g} {unit} at {flag['worst_at_mm']:.1f} mm"
-        )
+    for line in outcome_lines(result):
+        typer.echo(line)
     name_pages(folder)
     return status
+
+
+def outcome_lines(result: Mapping[str, Any]) -> list[str]:
+    """How a plan ended, its figures with their limits and places, the flagged stretches, and what a reader must know."""
+    limits, details = result["limits"], result["details"]
+    limited = [limits[key] is not None for key in ("clearance_min_mm", "curvature_max_per_mm")]
+    kept = "both limits are kept" if all(limited) else "the limit is kept" if any(limited) else "the path is free"
+    status = EXIT_STATUS[result["status"]]
+    words = {0: f"holds: {kept} and proved over the whole path", 3: "flagged", 4: "infeasible"}[status]
+    lines = [words if result["reason"] is None else f"{words}: {result['reason']}"]
+    lines += figure_lines(result)
+    for flag in result["flagged_intervals"]:
+        unit = "mm" if flag["kind"] == "clearance" else "1/mm"
+        lines.append(
+            f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, "
+            f"worst {flag['worst']:.4g} {unit} at {place_words(details, flag['worst_at_mm'])}"
+        )
+    return lines + relief_lines(details) + [f"note: {text}" for text in details.get("warnings") or ()]
+
+
+def figure_lines(result: Mapping[str, Any]) -> list[str]:
+    """Length, least clearance, largest curvature and error of the tip, those that the planner has."""
+    metrics, limits, details = result["metrics"], result["limits"], result["details"]
+    path = result["path"] or {}
+    lines = []
+    if metrics["length_mm"] is not None:
+        parts = [str(part["name"]) for part in details.get("parts") or ()]
+        through = f", through {', '.join(parts)}" if parts else ""
+        lines.append(f"path {metrics['length_mm']:.1f} mm{through}")
+    for name, key, column, pick, form, asked in (
+        ("least clearance", "clearance_min_mm", "clearance_mm", np.argmin, "{:.2f} mm", "{:g} mm asked for"),
+        ("largest curvature", "curvature_max_per_mm", "curvature_per_mm", np.argmax, "{:.4f} 1/mm", "{:g} 1/mm allowed"),
+    ):
+        if metrics[key] is None:
+            continue
+        told = [f"{name} {form.format(metrics[key])}"]
+        mine = [flag for flag in result["flagged_intervals"] if column.startswith(flag["kind"])]
+        if mine:  # between the samples it may be worse than at any of them
+            told.append(f" at {place_words(details, mine[int(pick([flag['worst'] for flag in mine]))]['worst_at_mm'])}")
+        elif path.get(column):
+            told.append(f" at {place_words(details, path['s_mm'][int(pick(path[column]))])}")
+        if limits[key] is not None:
+            told.append(f"; {asked.format(limits[key])}")
+        lines.append("".join(told))
+    if metrics["tip_error_mm"] is not None:
+        lines.append(f"tip error {metrics['tip_error_mm']:.2g} mm")
+    return lines
+
+
+def place_words(details: Mapping[str, Any], at: float) -> str:
+    """A place on the path, with the part of the anatomy where it is known."""
+    parts = details.get("parts") or ()
+    return ", ".join([f"{at:.1f} mm", *[str(part["name"]) for part in parts if part["from_mm"] <= at <= part["to_mm"]][:1]])
+
+
+def relief_lines(details: Mapping[str, Any]) -> list[str]:
+    """The smallest change of a limit that lets a path through, where one was looked for."""
+    told = details.get("relaxation")
+    if not told:
+        return []
+    rows = (("instrument radius", "clearance"), ("bend radius", "bend_radius"))
+    found = [
+        f"{name} {told[f'{key}_mm']:.3f} mm ({told[f'{key}_change_percent']:+.1f} %)"
+        for name, key in rows
+        if told[f"{key}_mm"] is not None
+    ]
+    return [f"would do: {' or '.join(found)}" if found else "no single change of a limit was found that would do"]
 
 
 def name_pages(folder: Path) -> None:
