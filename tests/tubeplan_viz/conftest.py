@@ -72,7 +72,7 @@ class BentTube:
             curve=self.curve,
             profile=profile,
             features=features,
-            centerline=self.centerline,
+            centerline=Centerline(points=self.centerline.points, radii=wall.clearance(self.centerline.points)),
             steps=(PlanStep(index=0, curve=self.curve, features=features, profile=profile, flagged=flagged),),
             flagged=flagged,
             certificate=certificate,

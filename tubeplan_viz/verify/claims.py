@@ -255,14 +255,19 @@ def _flag_extremes(result: Mapping[str, Any], own: OwnProfile) -> Iterator[Check
         else:
             worst = float(own.clearance[rows].min())
             agrees = abs(flag["worst"] - worst) <= EXTREME_CLEARANCE_MM
+        near = np.abs(s - flag["worst_at_mm"]) <= FLAG_END_MM
+        if flag["kind"] == "curvature":
+            agrees &= bool(near.any() and own.curvature[near].max() >= (1.0 - EXTREME_CURVATURE) * worst)
+        else:
+            agrees &= bool(near.any() and own.clearance[near].min() <= worst + EXTREME_CLEARANCE_MM)
         if not agrees:
-            faults.append(f"{index}: {flag['worst']:.5g} instead of {worst:.5g}")
+            faults.append(f"{index}: {flag['worst']:.5g} at {flag['worst_at_mm']:.2f} mm instead of {worst:.5g}")
     yield Check(
         name="flagged intervals: worst values",
         ok=not faults,
         found="; ".join(faults) or f"{len(result['flagged_intervals'])} as measured",
         expected="the worst value of each stretch",
-        text="The worst curvature or clearance of each flagged stretch agrees with the whole curve's.",
+        text="The worst curvature or clearance of each flagged stretch and its place agree with the whole curve's.",
     )
 
 

@@ -30,6 +30,7 @@ from tubeplan_viz.verify.profile import OwnProfile, measure
 from tubeplan_viz.verify.rigid import check_rigid
 from tubeplan_viz.verify.setting import check_ends, check_frame, check_limits, check_surface, check_unit
 from tubeplan_viz.verify.spline import BezierPath
+from tubeplan_viz.verify.told import check_ground, check_told
 from tubeplan_viz.verify.verification import Check, Verification
 from tubeplan_viz.verify.wall import Lumen, Triangles
 
@@ -125,6 +126,8 @@ def _path_checks(folder: Path, result: dict[str, Any]) -> Iterator[Check]:
     if case is not None and asked != name:
         yield Check(name="planner", ok=False, found=name, expected=str(asked), text="The planner is that of the case.")
         return
+    if case is not None:
+        yield from check_told(result, case)
     if name in NEEDLE_PLANNERS:
         yield from check_needle(folder, result)
         return
@@ -174,6 +177,7 @@ def _measured_checks(
     lumen = _lumen(result, mesh)
     own = measure(path, lumen)
     yield from _claims(result, own)
+    yield from check_ground(result, mesh, own)
     yield from check_no_path(result, own, lumen)
     yield from check_measures(result, case, mesh, own)
     if table is not None:

@@ -298,7 +298,7 @@ def test_open_mesh(clean_run: Path) -> None:
         raw.replace(f"element face {faces}\n".encode(), f"element face {faces - 1}\n".encode())[:-13]
     )
     sign_again(clean_run)
-    assert faults(clean_run) == {"mesh: closed", "mesh: caps"}
+    assert faults(clean_run) == {"mesh: closed", "mesh: caps", "surface: volume"}
 
 
 def test_wall_declared_to_be_a_cap(clean_run: Path) -> None:
@@ -377,7 +377,7 @@ def test_moved_start(clean_run: Path) -> None:
     start = json.loads(case.split("start = ")[1].split("\n")[0])
     (clean_run / "case.toml").write_text(case.replace(json.dumps(start), json.dumps([start[0] + 0.001, start[1], start[2]])))
     sign_again(clean_run)
-    assert faults(clean_run) == {"ends: start"}
+    assert faults(clean_run) == {"ends: start", "settings"}
 
 
 def test_goal_given_as_a_label(clean_run: Path) -> None:
