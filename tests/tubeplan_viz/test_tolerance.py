@@ -70,6 +70,18 @@ def test_more_error_is_never_more_probable_to_stay_clear(straight: Any) -> None:
     assert chances[-1] < 0.5
 
 
+def test_the_first_breach_of_a_turn_about_the_start_is_where_the_path_has_swung_to_the_wall(straight: Any) -> None:
+    profile, _ = straight
+    # Across the axis the turn has two components of variance t^2 / 3, so its sine c is Rayleigh distributed; a place at s swings
+    # out by c s and meets the limit at s = (3 - 1) / c. Of the turns that reach it on the path's 20 mm, c > 0.1, the median has
+    # c^2 = 0.1^2 + 2 ln(2) t^2 / 3.
+    turn = np.radians(12.0)
+    expected = (RADIUS - LIMIT) / np.sqrt(0.1**2 + 2.0 * np.log(2.0) * turn**2 / 3.0)
+    found = drawn(straight, translation=0.0, rotation=12.0, samples=4000, pivot=tuple(profile.points[0]))
+    # Places are 1 mm apart and the one after the breach is named; the median of 2800 turns is known to 0.1 mm.
+    assert expected - 0.3 <= found.first <= expected + 1.3
+
+
 def test_a_turn_about_the_middle_fails_first_at_the_ends(straight: Any) -> None:
     profile, _ = straight
     found = drawn(straight, translation=0.0, rotation=12.0, samples=600)
