@@ -100,6 +100,16 @@ def test_a_structure_beside_a_straight_path_is_as_far_as_it_was_put() -> None:
     assert {m.reason for m in empty} == {"the mask is empty"}
 
 
+def test_the_mean_distance_to_a_structure_goes_by_length_however_the_path_is_sampled() -> None:
+    voxels = np.zeros((5, 5, 5), dtype=np.int16)
+    voxels[:, :, 4] = 1  # x from 3.5 to 4.5 mm
+    s = np.array([0.0, 1.0, 10.0])
+    points = np.column_stack([5.5 + s, np.full(3, 2.0), np.full(3, 2.0)])  # straight away from it: 1 mm at first, 11 at last
+    least, where, mean = (m.value for m in structure_measures("vessel", Volume(voxels, np.eye(4)[:, [2, 1, 0, 3]]), s, points))
+    assert (least, where) == (pytest.approx(1.0), 0.0)
+    assert mean == pytest.approx(6.0)  # of the three samples it would be 4.7
+
+
 def test_a_measure_has_a_value_or_a_reason() -> None:
     for wrong in ({"value": 1.0, "reason": "both"}, {}):
         with pytest.raises(ValueError, match="either a value or a reason"):
