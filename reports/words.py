@@ -10,6 +10,8 @@ from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, senten
 from tubeplan_viz.result import STRAIGHT_MM
 
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+# Words of --objective other than the default.
+AIMS = {"length": " for the shortest path", "curvature": " for the straightest path"}
 ROWS_SHOWN = 6  # flagged stretches listed at once; the rest is one fold away
 
 STATUS = {
@@ -122,9 +124,16 @@ def _line(source: Source, status: str, flags: int) -> str:
         return (
             "The best path found is drawn for inspection; it is not a plan" if _has_path(source) else "Nothing could be planned"
         )
+    aim = _aim(source)
     if status == "ok":
-        return "Planned from start to goal; nothing is flagged"
-    return f"Planned to the end; {count_of(flags, 'stretch breaks', 'stretches break')} a limit"
+        return f"Planned from start to goal{aim}; nothing is flagged"
+    return f"Planned to the end{aim}; {count_of(flags, 'stretch breaks', 'stretches break')} a limit"
+
+
+def _aim(source: Source) -> str:
+    """What the path was to be best in, where that is not its clearance: it then is nearer to the wall than it need be."""
+    settings = source.result["provenance"]["settings"]
+    return AIMS.get((settings.get("tube") or {}).get("objective", ""), "")
 
 
 def _margin_figure(source: Source, *, signed: bool = False, strong: bool = False) -> Figure | None:

@@ -57,6 +57,23 @@ def test_one_broken_limit_is_named_with_its_amount_when_there_is_no_path(make_re
     assert "No path: the bend needs a radius of" in text_of(render_report(sharp))
 
 
+@pytest.mark.parametrize(
+    ("objective", "words"), [("length", " for the shortest path"), ("curvature", " for the straightest path"), ("clearance", "")]
+)
+def test_what_the_path_was_to_be_best_in_stands_beside_the_verdict_unless_it_is_clearance(
+    make_review: Any, objective: str, words: str
+) -> None:
+    for limits, said in (
+        ({"curvature_max": 0.25, "clearance_min": 0.8}, f"from start to goal{words};"),
+        ({}, f"to the end{words};"),
+    ):
+        review = make_review(ct=False, **limits)
+        settings = {**review.result["provenance"]["settings"], "tube": {"objective": objective}}
+        provenance = {**review.result["provenance"], "settings": settings}
+        changed = dataclasses.replace(review, result={**review.result, "provenance": provenance})
+        assert f"Planned {said}" in text_of(render_report(changed))
+
+
 PARTS = [{"name": "ureter", "from_mm": 0.0, "to_mm": 60.0}, {"name": "lower calyx E3", "from_mm": 60.0, "to_mm": 200.0}]
 
 
