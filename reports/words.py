@@ -132,7 +132,7 @@ def _line(source: Source, status: str, flags: int) -> str:
 
 def _aim(source: Source) -> str:
     """What the path was to be best in, where that is not its clearance: it then is nearer to the wall than it need be."""
-    settings = source.result["provenance"]["settings"]
+    settings = (source.result.get("provenance") or {}).get("settings") or {}
     return AIMS.get((settings.get("tube") or {}).get("objective", ""), "")
 
 
