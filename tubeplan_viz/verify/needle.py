@@ -22,6 +22,7 @@ from tubeplan_viz.verify.files import CSV_HEADER, check_markups
 from tubeplan_viz.verify.needle_bodies import TISSUE_HU, Distance, at_skin, distance_to, located, place
 from tubeplan_viz.verify.needle_motion import STEP_MM, integrated
 from tubeplan_viz.verify.needle_outcomes import check_chances, check_front, check_insertion
+from tubeplan_viz.verify.needle_told import check_told_needle
 from tubeplan_viz.verify.page import check_page
 from tubeplan_viz.verify.verification import Check
 
@@ -57,6 +58,7 @@ def check_needle(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
         )
         return
     yield from check_distances(case, result, s, points, bodies)
+    yield from check_told_needle(case, own, result, points, bodies)
     yield from check_insertion(case, own, result, bodies)
     yield from check_front(own, case, result, bodies)
     yield from check_chances(case, result)
@@ -138,7 +140,7 @@ def check_points(result: Mapping[str, Any], s: FloatArray, points: FloatArray) -
 def check_tip(own: Mapping[str, Any], result: Mapping[str, Any], points: FloatArray) -> Iterator[Check]:
     """The needle starts where it may and ends on the target."""
     error = float(np.linalg.norm(points[-1] - place(own["target"])))
-    allowed = TIP_MM[result["planner"]["method"]]
+    allowed = TIP_MM.get(result["planner"]["method"], 0.0)
     yield Check(
         name="tip: on the target",
         ok=error <= allowed and abs(error - result["metrics"]["tip_error_mm"]) <= SAME_MM,
