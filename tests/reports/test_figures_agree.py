@@ -10,6 +10,7 @@ import pytest
 
 from reports import DERIVED, derived_values, render_report
 from reports.numbers import Figure, Source, digits_apart, printed
+from tubeplan_viz.verify.page import derived as verified
 
 CASES = {
     "flagged": {},
@@ -44,6 +45,9 @@ def test_every_derived_figure_is_documented_and_follows_its_formula(make_review:
     assert values["derived:path_diameter_mm"] == 2.0 * metrics["clearance_min_mm"]
     assert values["derived:narrow_by_mm"] == limits["clearance_min_mm"] - 0.9
     assert values["derived:kept_until_mm"] == min(f["from_mm"] for f in flags)
+    # The verifier has formulas of its own, for every one of them: a page with a figure that it cannot check is refused.
+    told = {key: verified(result, key) for key in values}
+    assert told == {key: (True, pytest.approx(value, rel=1e-12)) for key, value in values.items()}
     sharp = next(k for k, flag in enumerate(flags) if flag["kind"] == "curvature")
     assert values[f"derived:flag.{sharp}.radius_mm"] * flags[sharp]["worst"] == pytest.approx(1.0)
 

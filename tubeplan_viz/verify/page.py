@@ -152,6 +152,10 @@ def derived(result: Mapping[str, Any], key: str) -> tuple[bool, float]:
         match key.removeprefix("derived:"):
             case "margin_mm":
                 return True, metrics["clearance_min_mm"] - limits["clearance_min_mm"]
+            case "narrow_by_mm":
+                return True, limits["clearance_min_mm"] - result["details"]["bottleneck"]["clearance_upper_bound_mm"]
+            case "kept_until_mm":
+                return bool(flags), min((flag["from_mm"] for flag in flags), default=0.0)
             case "bend_radius_mm":
                 return True, 1.0 / metrics["curvature_max_per_mm"]
             case "bend_radius_limit_mm":
@@ -174,7 +178,7 @@ def derived(result: Mapping[str, Any], key: str) -> tuple[bool, float]:
                 return True, float(sum(result["timings_s"].values()))
             case _:
                 return False, 0.0
-    except (TypeError, IndexError, ZeroDivisionError):  # a term is null, absent or 0: there is no such figure
+    except (TypeError, IndexError, KeyError, ZeroDivisionError):  # a term is null, absent or 0: there is no such figure
         return False, 0.0
 
 
