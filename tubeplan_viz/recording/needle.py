@@ -10,6 +10,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
+from tubeplan_viz.needle.bodies import Polygon, Sphere
 from tubeplan_viz.needle.obstacles import Scene
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.base import RunRecording, begin
@@ -25,6 +26,9 @@ TRIALS, TIPS = f"{at.CASE}/insertions/paths", f"{at.CASE}/insertions/tips"
 GOALS = ("error", "length", "danger")
 FRONT_COLOR, PUSHED_COLOR = (150, 130, 220, 120), (80, 205, 220)
 FRONT_SIZE = 100.0  # of the front's picture, which has no unit: the labels tell the figures
+CLEARANCE = f"{at.CASE}/path/clearance"
+END_COLORS = {"entry": (130, 225, 130), "target": (240, 120, 220), "entry asked": (150, 156, 170)}
+MOVED_MM = 0.05  # an entry that was free to move and did
 TRIAL_COLOR, TIP_COLOR = (200, 200, 210, 90), (255, 255, 255)
 FORM_COLORS = ((96, 165, 255), (84, 178, 128), (195, 160, 255), (245, 150, 35))
 
@@ -45,6 +49,7 @@ class NeedleRecording(RunRecording):
         self._scene: Scene | None = None
         self._volume: Volume | None = None
         self._last = 0
+        self._has_clearance = False
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, planner: str, frame: str, connect: str | None = None, light: bool = False) -> Self:
@@ -60,27 +65,31 @@ class NeedleRecording(RunRecording):
 
     def log_scene(self, entry: FloatArray, target: FloatArray, scene: Scene, safety: float, volume: Volume | None = None) -> None:
         """Entry, target, obstacles and the shells that the path must stay out of; `volume` is the CT for planes at the end."""
-        import rerun as rr
 
         from tubeplan_viz.recording.needle_scene import shapes
 
-        self._seen = np.vstack([entry, target])
+        ends = np.vstack([entry, target])
+        flat = [body for body in scene.obstacles if isinstance(body, Sphere | Polygon)] if self._planner == "needle2d" else []
+        self._seen = np.vstack([ends, *(rim_of(body) for body in flat)])
         self._scene, self._volume = scene, None if self._light else volume
-        self._sink.log(
-            ENDS,
-            rr.Points3D(
-                [entry, target],
-                labels=["entry", "target"],
-                colors=[(130, 225, 130), (240, 120, 220)],
-                radii=rr.Radius.ui_points(5.0),
-            ),
-            static=True,
-        )
+        self._log_ends({"entry": entry, "target": target})
         for k, body in enumerate(scene.obstacles):
             entity = f"{OBSTACLES}/{k + 1}"
-            for suffix, shape in shapes(body, safety, self._seen):
+            for suffix, shape in shapes(body, safety, ends):
                 self._sink.log(f"{entity}{suffix}", shape, static=True)
         self._sink.flush()
+
+    def _log_ends(self, places: Mapping[str, FloatArray]) -> None:
+        """Named places; a later call stands in for the one before."""
+        import rerun as rr
+
+        points = rr.Points3D(
+            list(places.values()),
+            labels=list(places),
+            colors=[END_COLORS[name] for name in places],
+            radii=rr.Radius.ui_points(5.0),
+        )
+        self._sink.log(ENDS, points, static=True)
 
     def log_round(self, index: int, best: FloatArray, cloud: Sequence[FloatArray] | None, goals: Mapping[str, float]) -> None:
         """The swarm's best path after one round, some of its population, and the goals of eq. 14."""
@@ -108,9 +117,17 @@ class NeedleRecording(RunRecording):
             self._seen = np.vstack([self._seen, path["points_mm"]])
             strip = rr.LineStrips3D([path["points_mm"]], colors=at.PATH, radii=rr.Radius.ui_points(2.5))
             self._sink.log(at.CURVE, strip, static=True)
-            for tick, here in zip(path["s_mm"][::5], path["points_mm"][::5], strict=True):
+            ends = np.array([path["points_mm"][0], result["details"]["target_mm"]], float)
+            asked = self._seen[0]
+            moved = {"entry asked": asked} if np.linalg.norm(ends[0] - asked) > MOVED_MM else {}
+            self._log_ends({"entry": ends[0], "target": ends[1], **moved})
+            gaps = path["clearance_mm"] or [None] * len(path["s_mm"])
+            for tick, here, gap in zip(path["s_mm"][::5], path["points_mm"][::5], gaps[::5], strict=True):
                 self._sink.at(at.ARC_LENGTH, int(tick * at.TICKS_PER_MM))
                 self._sink.log(at.WALK, rr.Points3D([here], colors=at.HERE, radii=rr.Radius.ui_points(5.0)))
+                if gap is not None:
+                    self._sink.log(CLEARANCE, rr.Scalars(float(gap)))
+            self._has_clearance = gaps[0] is not None
             if self._volume is not None and self._scene is not None:
                 from tubeplan_viz.recording.needle_ct import log_ct
 
@@ -183,9 +200,10 @@ class NeedleRecording(RunRecording):
         from tubeplan_viz.recording.blueprint import SCENE_NAME, Viewpoint, folded, scene_view, viewpoint
 
         if self._planner == "needle2d":  # the plane x = 0, seen along x with the depth downwards
-            middle = self._seen.mean(axis=0)
+            middle = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
             reach = 2.2 * float(np.linalg.norm(self._seen - middle, axis=1).max())
-            eye = Viewpoint(position=middle + np.array([reach, 0.0, 0.0]), target=middle, up=np.array([0.0, 0.0, -1.0]))
+            # From -x the y axis points to the right, as in the report.
+            eye = Viewpoint(position=middle - np.array([reach, 0.0, 0.0]), target=middle, up=np.array([0.0, 0.0, -1.0]))
         else:
             eye = viewpoint(self._seen, self._frame, radius=12.0)
         space = scene_view(SCENE_NAME, eye, contents=["$origin/**", f"- {FRONT}", f"- {at.CT}/**"])
@@ -194,13 +212,16 @@ class NeedleRecording(RunRecording):
             rrb.TextLogView(origin=at.DECISIONS, name="Events"),
         ]
         side: list[Any] = [rrb.Tabs(*words, active_tab=0)]
+        along = rrb.TimeSeriesView(origin=CLEARANCE, name="Clearance along the path, mm (timeline arc_length)")
+        if self._planner == "needle2d" and self._has_clearance:
+            side = [along, *side]
         if self._planner == "needle3d":
             plots = [
                 rrb.TimeSeriesView(origin=f"{at.CONVERGENCE}/{name}", name=f"{name.capitalize()} by round of the swarm")
                 for name in GOALS
             ]
             side = [
-                rrb.Tabs(*plots, active_tab=0),
+                rrb.Tabs(*plots, *([along] if self._has_clearance else []), active_tab=0),
                 rrb.Spatial2DView(origin=FRONT, name="Pareto front: length to the right, danger upwards"),
                 *side,
             ]
@@ -219,6 +240,13 @@ class NeedleRecording(RunRecording):
             rrb.Horizontal(scene, rrb.Vertical(*side), column_shares=[5, 4]),
             timeline=at.ITERATION if self._planner == "needle3d" else at.ARC_LENGTH,
         )
+
+
+def rim_of(body: Sphere | Polygon) -> FloatArray:
+    """Corners of the box of a circle or polygon in the plane x = 0, (k, 3) mm."""
+    if isinstance(body, Sphere):
+        return np.asarray(body.center + body.radius * np.array([[0.0, -1.0, -1.0], [0.0, 1.0, 1.0]]))
+    return np.column_stack([np.zeros(len(body.corners)), body.corners])
 
 
 def summary(case_id: str, result: Mapping[str, Any]) -> str:

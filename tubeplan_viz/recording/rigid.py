@@ -83,7 +83,8 @@ class RigidRecording(RunRecording):
         for k, name in enumerate(obstacles.names):
             cells = obstacles.frame.to_lps(obstacles.cells[obstacles.rows[k]])
             cells = cells[:: max(1, len(cells) // (CELLS_SHOWN // (5 if self._light else 1)))]
-            points = rr.Points3D(cells, colors=COLORS[name], radii=0.3, labels=[name.replace("_", " ")], show_labels=False)
+            # One label for many points stands in their middle.
+            points = rr.Points3D(cells, colors=COLORS[name], radii=0.3, labels=[name.replace("_", " ")], show_labels=True)
             self._sink.log(f"{ANATOMY}/{name.replace(' ', '_')}", points, static=True)
         goal = rr.Points3D([problem.goal], colors=(240, 120, 220), radii=rr.Radius.ui_points(6.0), labels=["lesion"])
         self._sink.log(f"{ANATOMY}/lesion", goal, static=True)
@@ -151,6 +152,9 @@ class RigidRecording(RunRecording):
         ways = unit(np.diff(points, axis=0))
         ways = np.vstack([ways, ways[-1:]])
         named = result["details"]["structure_distances_mm"]
+        for name in named:
+            line = rr.SeriesLines(colors=COLORS[name], names=name.replace("_", " "), widths=2.0)
+            self._sink.log(f"{DISTANCES}/{name}", line, static=True)
         last_slice = -np.inf
         for place in np.arange(0.0, s[-1] + WALK_STEP_MM, WALK_STEP_MM * (3 if self._light else 1)):
             k = int(np.abs(s - place).argmin())
@@ -172,7 +176,12 @@ class RigidRecording(RunRecording):
 
         rows = [row for row in result["details"]["candidates"] if row["brain_mm"] is not None]
         if rows:
-            points = [(row["brain_mm"], -row["tissue_voxels"] / 20.0) for row in rows]
+            points = [
+                (100.0 * brain, -60.0 * tissue)
+                for brain, tissue in zip(
+                    shares([row["brain_mm"] for row in rows]), shares([row["tissue_voxels"] for row in rows]), strict=True
+                )
+            ]
             colors = [at.PATH if row["pareto"] else (110, 116, 130) for row in rows]
             self._sink.log(PARETO, rr.Points2D(points, colors=colors, radii=rr.Radius.ui_points(2.5)), static=True)
         return bool(rows)
@@ -216,6 +225,12 @@ class RigidRecording(RunRecording):
             timeline=at.ARC_LENGTH,
             play_state="following",
         )
+
+
+def shares(values: list[float]) -> FloatArray:
+    """Where each value stands between the least, 0, and the largest, 1; 0 where all are one."""
+    span = float(np.ptp(values))
+    return (np.array(values, float) - min(values)) / (span if span > 0.0 else 1.0)
 
 
 def capsules(bodies: Bodies, instrument: CoupledInstrument, *, alpha: int = 255) -> Any:
