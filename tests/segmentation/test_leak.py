@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from segmentation.leak import LeakRule, leak_index, leak_voxel
+from segmentation.leak import LeakRule, leak_index, leak_voxel, noise_end
 
 RULE = LeakRule(volume_min=3.0, volume_max=150.0, jump=10.0)
 
@@ -50,3 +50,12 @@ def test_the_leak_voxel_is_the_lowest_gate_of_the_largest_new_part() -> None:
     values[joined == index[2, 4, 5]] = 3
     values[joined == lone[0]] = 1
     assert leak_voxel(joined, held, values, shape, connectivity=6) == (2, 4, 5)
+
+
+def test_a_lumen_has_joined_three_standard_deviations_above_its_median() -> None:
+    limits = np.arange(-950, -850, 10)
+    # A thousand voxels of the lumen at -950 HU, then one at each limit: the median stays where it is.
+    values = [np.full(1000, -950, dtype=np.int16), *(np.array([limit], dtype=np.int16) for limit in limits[1:])]
+    for noise, expected in ((0.0, -950), (10.0, -920), (11.0, -910)):  # -950 + 3 noise, rounded up to a limit
+        assert limits[noise_end(values, limits, noise)] == expected
+    assert noise_end(values, limits, 100.0) == len(values)  # never reached

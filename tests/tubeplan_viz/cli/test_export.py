@@ -238,6 +238,7 @@ def test_the_single_file_opens_from_disk_and_asks_no_host(meshes: Path, tubeplan
     file = tmp_path / "one" / "viewer.html"
     recording = (run / "recording.rrd").stat().st_size
     assert file.stat().st_size < 20e6 + 1.4 * recording  # base64 takes a third more
+    assert file.stat().st_mode & 0o777 == 0o600  # a patient's anatomy is its owner's
     with file.open(encoding="utf-8") as page:  # a copy of the viewer carries its licence
         assert "Rerun Technologies AB" in page.read(1000)
     page = browser.new_page(viewport={"width": 1000, "height": 700})

@@ -76,6 +76,13 @@ def soften(result: dict[str, Any]) -> None:
     result["details"]["contacts"]["largest_force_n"] *= 0.5
 
 
+def lift_contact(result: dict[str, Any]) -> None:
+    path = result["path"]
+    roomy = max(range(len(path["s_mm"])), key=path["clearance_mm"].__getitem__)
+    step = next(step for step in result["details"]["steps"] if step["contacts_mm"])
+    step["contacts_mm"][0] = path["points_mm"][roomy]  # more than a millimetre from any wall
+
+
 @pytest.mark.parametrize(
     ("plant", "found"),
     [
@@ -84,8 +91,9 @@ def soften(result: dict[str, Any]) -> None:
         (lambda folder: altered_result(folder, shift_tip), {"path: the tips' track", "states: whole"}),
         (lambda folder: altered_result(folder, praise_body), {"metrics: body_clearance_min_mm"}),
         (lambda folder: altered_result(folder, soften), {"contacts"}),
+        (lambda folder: altered_result(folder, lift_contact), {"contacts"}),
     ],
-    ids=["body through the wall", "tip off its track", "body praised", "force halved"],
+    ids=["body through the wall", "tip off its track", "body praised", "force halved", "contact in the air"],
 )
 def test_a_planted_fault_is_refused(dynamic_run: Path, tmp_path: Path, plant: Callable[[Path], None], found: set[str]) -> None:
     folder = tmp_path / "run"
