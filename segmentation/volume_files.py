@@ -10,7 +10,7 @@ import gzip
 import hashlib
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, cast
@@ -28,6 +28,8 @@ _LABEL_TYPES = ("Int8", "UInt8")
 _FLOAT_CODES = {16: "f4", 64: "f8"}
 """NIfTI datatype codes of floating-point voxels."""
 _CHUNK = 1 << 22
+_SAME_FRAME_MM = 0.1
+"""How far apart qform and sform may place a corner: a hundred times what their 32-bit numbers lose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,8 @@ def read_volume_file(path: Path, *, labels: bool = False) -> VolumeFile:
     # Imported where it is used: it takes 90 MB, which reading DICOM does without.
     import SimpleITK as sitk
 
+    # What is odd is told below in one sentence; ITK's own warnings name files by their whole path.
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     reader.SetImageIO("NiftiImageIO" if is_nifti else "MetaImageIO")
@@ -106,7 +110,9 @@ def _check_nifti(path: Path) -> None:
     opener = cast(Callable[[Path, str], IO[bytes]], gzip.open if path.name.lower().endswith(".gz") else open)
     try:
         with opener(path, "rb") as stream:
-            order, code, offset, wanted = _nifti_layout(stream.read(540), path.name)
+            head = stream.read(540)
+            order, code, offset, wanted = _nifti_layout(head, path.name)
+            _check_two_frames(head, order, path.name)
             stream.seek(offset)
             missing = wanted
             while missing and (chunk := stream.read(min(missing, _CHUNK))):
@@ -144,20 +150,75 @@ def _nifti_layout(head: bytes, name: str) -> tuple[str, int, int, int]:
     raise VolumeError(f"{name}: is no single-file NIfTI image; save it again as .nii or .nii.gz")
 
 
+def _check_two_frames(head: bytes, order: str, name: str) -> None:
+    """Refuse a header whose qform and sform place the image differently: readers disagree about which of them holds.
+
+    The quaternion's matrix is that of the format's definition [1]_.
+
+    References
+    ----------
+    .. [1] https://nifti.nimh.nih.gov/nifti-1/documentation/nifti1fields/nifti1fields_pages/quatern.html
+    """
+    second = head[344:347] != b"n+1"
+    real, whole, code = (order + "f8", order + "i8", order + "i4") if second else (order + "f4", order + "i2", order + "i2")
+    places = (16, 104, 344, 352, 400) if second else (40, 76, 252, 256, 280)
+    at = dict(zip(("dim", "pixdim", "code", "q", "s"), places, strict=True))
+    if not all(np.frombuffer(head, code, 2, at["code"]) > 0):
+        return
+    pixdim = np.frombuffer(head, real, 8, at["pixdim"]).astype(float)
+    b, c, d, *shift = np.frombuffer(head, real, 6, at["q"]).astype(float)
+    a = math.sqrt(max(1.0 - b * b - c * c - d * d, 0.0))
+    turn = np.array(
+        [
+            [a * a + b * b - c * c - d * d, 2 * (b * c - a * d), 2 * (b * d + a * c)],
+            [2 * (b * c + a * d), a * a + c * c - b * b - d * d, 2 * (c * d - a * b)],
+            [2 * (b * d - a * c), 2 * (c * d + a * b), a * a + d * d - b * b - c * c],
+        ]
+    )
+    sides = pixdim[1:4] * np.array([1.0, 1.0, -1.0 if pixdim[0] < 0.0 else 1.0])
+    by_q = np.column_stack([turn * sides, shift])
+    by_s = np.frombuffer(head, real, 12, at["s"]).astype(float).reshape(3, 4)
+    last = np.maximum(np.frombuffer(head, whole, 3, at["dim"] + np.dtype(whole).itemsize).astype(float) - 1.0, 0.0)
+    corners = np.array([[*(last * pick), 1.0] for pick in np.ndindex(2, 2, 2)])
+    apart = float(np.linalg.norm(corners @ (by_q - by_s).T, axis=1).max())
+    if not apart <= _SAME_FRAME_MM:
+        raise VolumeError(
+            f"{name}: says twice how it lies in the patient, and its qform and sform are up to {apart:.4g} mm apart; "
+            "convert the CT again, or take the wrong one out (code 0)"
+        )
+
+
+def _check_metaimage(fields: Mapping[bytes, bytes], name: str) -> None:
+    """Refuse a MetaImage header that leaves out what SimpleITK would take as 1 mm, as straight or as the origin."""
+    for what, keys in (
+        ("how large its voxels are", (b"ElementSpacing", b"ElementSize")),
+        ("which way its axes run", (b"TransformMatrix", b"Rotation", b"Orientation")),
+        ("where its first voxel lies", (b"Offset", b"Position", b"Origin")),
+    ):
+        if not any(key in fields for key in keys):
+            raise VolumeError(f"{name}: does not say {what} ({keys[0].decode()} is missing); convert the CT again")
+
+
 def _data_files(path: Path) -> list[Path]:
     """The voxel file a MetaImage header names; none when the voxels follow the header.
 
     Raises
     ------
     VolumeError
-        If it is not one plain file in the header's own folder.
+        If it is not one plain file in the header's own folder, or the header leaves its geometry out.
     """
     with path.open("rb") as stream:
         header = stream.read(1 << 16)
-    values = [line.partition(b"=")[2].strip() for line in header.splitlines() if line.startswith(b"ElementDataFile")]
-    if not values:
+    fields: dict[bytes, bytes] = {}
+    for line in header.splitlines():
+        key, _, value = line.partition(b"=")
+        fields.setdefault(key.strip(), value.strip())
+        if key.strip() == b"ElementDataFile":
+            break  # voxels may follow
+    if b"ElementDataFile" not in fields:
         raise VolumeError(f"{path.name}: names no ElementDataFile in its header; save it again")
-    name = values[0].decode("utf-8", "replace")
+    _check_metaimage(fields, path.name)
+    name = fields[b"ElementDataFile"].decode("utf-8", "replace")
     if name == "LOCAL":
         return []
     if name.startswith("LIST") or "%" in name:

@@ -128,6 +128,36 @@ def test_a_nifti_that_does_not_say_how_it_lies_is_refused(tmp_path):
         read_ct(path)
 
 
+@pytest.mark.parametrize(("field", "shift"), [(280, -2.0), (280 + 12, 3.0)], ids=["left and right", "three mm"])
+def test_a_nifti_that_says_twice_how_it_lies_is_refused_unless_both_agree(field, shift, tmp_path):
+    path = saved(field_image(), tmp_path / "case.nii")
+    raw = bytearray(path.read_bytes())
+    assert (np.frombuffer(raw, "<i2", 2, 252) > 0).all()  # SimpleITK writes qform and sform, and they agree
+    read_ct(path)
+    row = np.frombuffer(raw, "<f4", 1, field)[0]
+    raw[field : field + 4] = np.float32(row + shift).tobytes()
+    path.write_bytes(raw)
+    with pytest.raises(VolumeError, match="says twice how it lies in the patient, and its qform and sform are up to"):
+        read_ct(path)
+    raw[252:254] = bytes(2)  # only sform_code is left
+    path.write_bytes(raw)
+    if field == 280 + 12:  # the first row's shift; the flip would leave axes of other lengths
+        moved = read_ct(path).volume.index_to_lps
+        assert (
+            abs(np.abs(moved[0, 3] - read_ct(saved(field_image(), tmp_path / "first.nii")).volume.index_to_lps[0, 3]) - 3.0)
+            < 1e-4
+        )
+
+
+@pytest.mark.parametrize("key", ["ElementSpacing", "TransformMatrix", "Offset"])
+def test_a_metaimage_that_leaves_its_geometry_out_is_refused(key, tmp_path):
+    path = saved(field_image(), tmp_path / "case.mhd")
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith(key)))
+    with pytest.raises(VolumeError, match=rf"does not say .* \({key} is missing\)"):
+        read_ct(path)
+
+
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".mha"])
 @pytest.mark.parametrize("part", [0.0, 0.02, 0.5, 0.99])
 def test_a_cut_file_is_refused(suffix, part, tmp_path):
