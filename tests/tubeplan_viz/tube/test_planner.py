@@ -13,6 +13,7 @@ from tubeplan_viz.bench.models import Model, bent_cylinder_2, too_narrow_cylinde
 from tubeplan_viz.bench.paper import CYLINDER_2, SETTINGS
 from tubeplan_viz.plan import FlagKind, Limits, NoPathError, Plan, PlanStatus
 from tubeplan_viz.tube import TubeProblem, TubeSettings, conclude, pose_problem, tube_steps
+from tubeplan_viz.tube.explain import Explanation
 
 
 def planned(model: Model, limits: Limits, settings: TubeSettings = SETTINGS) -> Plan:
@@ -118,6 +119,23 @@ def test_a_breach_is_never_called_ok(tube: Model) -> None:
         plan = conclude(problem, list(tube_steps(problem)))
         assert (plan.status is PlanStatus.OK) == ok
         assert bool(plan.flagged) != ok
+
+
+@pytest.mark.parametrize(("proved", "status"), [(False, PlanStatus.FLAGGED), (True, PlanStatus.INFEASIBLE)])
+def test_only_a_proof_makes_a_plan_impossible(
+    tube: Model, monkeypatch: pytest.MonkeyPatch, proved: bool, status: PlanStatus
+) -> None:
+    # Ends half a millimetre off the axis of a tube of 3 mm cannot keep 2.9 mm; whether that is proved is for `explain` to say.
+    ends = [np.array([0.5, 0.5, 0.0]), np.array([0.5, 39.5, 0.0])]
+    problem = pose_problem(tube.surface, *ends, Limits(curvature_max=0.1, clearance_min=2.9), SETTINGS)
+    steps = list(tube_steps(problem))
+    said = Explanation(impossible=proved, sentence="what was found out", details={"bottleneck": None})
+    monkeypatch.setattr("tubeplan_viz.tube.planner.explain", lambda *_, **__: said)
+    plan = conclude(replace(problem, settings=replace(problem.settings, method="optimal")), steps)
+    assert plan.status is status
+    assert str(plan.reason).endswith("what was found out")
+    # What was not proved is told beside the breach, not in its place.
+    assert str(plan.reason).startswith("clearance falls to") != proved
 
 
 def test_a_start_outside_is_refused_with_its_distance_and_place(tube: Model) -> None:
