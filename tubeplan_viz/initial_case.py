@@ -18,7 +18,7 @@ from tubeplan_viz.cases.inputs import InputCase
 from tubeplan_viz.cases.tube import Case, case_table, make_case
 from tubeplan_viz.centerline import Endpoint
 from tubeplan_viz.instruments import Instrument, read_catalogue
-from tubeplan_viz.pipeline import Lumen, Notify, Stopwatch, grow_tree, load_lumen, silent
+from tubeplan_viz.pipeline import Lumen, Notify, Stopwatch, case_end_names, find_end, grow_tree, load_lumen, silent
 
 LISTED = 30  # end points written down; an airway has hundreds
 CONFIDENT = 0.5
@@ -31,8 +31,8 @@ MEANINGS = {
     "method": "optimal (largest clearance, proved) or feature_iteration (Dai et al. 2024)",
     "rng_seed": "seed of all randomness",
     "closed_ends": "true: end caps count as wall",
-    "start": "a label of the list above, or [x, y, z] in mm",
-    "goal": "a label of the list above, or [x, y, z] in mm",
+    "start": "a label or name of the list above, or [x, y, z] in mm",
+    "goal": "a label or name of the list above, or [x, y, z] in mm",
     "curvature_max": "1/mm, the reciprocal of the least bend radius",
     "clearance_min": "mm from the path to the wall: the instrument's radius",
 }
@@ -99,14 +99,16 @@ def initial_case(
     case = replace(case, input=given)
     lumen = load_lumen(case.input, near=case.planner.start, watch=watch)
     with watch.stage("end points"):
-        tips = grow_tree(lumen.surface, closed_ends=case.planner.closed_ends, settings=case.centerline).endpoints
+        tree = grow_tree(lumen.surface, closed_ends=case.planner.closed_ends, settings=case.centerline)
+        tips, names = tree.endpoints, case_end_names(case, lumen, tree)
+    asked = {name: getattr(case.planner, name) for name in ("start", "goal")}
+    labels = {name: find_end(name, end, tips, names).label for name, end in asked.items() if isinstance(end, str)}
+    ends = {**asked, **labels}
+    case = replace(case, planner=replace(case.planner, start=ends["start"], goal=ends["goal"]))
     start, goal = _ends(case, tips)
     by_label = {tip.label: tip for tip in tips}
-    for name, end in (("start", start), ("goal", goal)):
-        if isinstance(end, str) and end not in by_label:
-            raise CaseError(f"the lumen has no end point {end} for the {name}; it has {', '.join(by_label)}")
     case = replace(case, planner=replace(case.planner, start=start, goal=goal))
-    text = _text(case, folder, lumen, tips, anatomy_reason=reason, limits_reason=limits_reason)
+    text = _text(case, folder, lumen, tips, names, anatomy_reason=reason, limits_reason=limits_reason)
     # What is written must be read again as the same case; a comment may have broken a line.
     if case_table(make_case(tomllib.loads(text), folder=folder)) != case_table(case):
         raise CaseError("the case that was written does not read back; please report it")
@@ -183,7 +185,16 @@ def _ends(case: Case, tips: Sequence[Endpoint]) -> tuple[Any, Any]:
     return start, free[0] if goal is None else goal
 
 
-def _text(case: Case, folder: Path, lumen: Lumen, tips: Sequence[Endpoint], *, anatomy_reason: str, limits_reason: str) -> str:
+def _text(
+    case: Case,
+    folder: Path,
+    lumen: Lumen,
+    tips: Sequence[Endpoint],
+    names: Mapping[str, str],
+    *,
+    anatomy_reason: str,
+    limits_reason: str,
+) -> str:
     """The file: a table at a time, comments above and beside the keys."""
     table = case_table(case, folder=folder)
     frame = "LPS mm of the patient" if lumen.surface.frame == "LPS" else "mm in the mesh's own axes"
@@ -204,7 +215,7 @@ def _text(case: Case, folder: Path, lumen: Lumen, tips: Sequence[Endpoint], *, a
         lines.append(f"# hu_min, hu_max: chosen when the lumen is grown, here {grown['hu_min']:.0f} to {grown['hu_max']:.0f} HU")
     lines += ["", f"# Limits: {_one_line(limits_reason)}.", "[limits]"]
     lines += [_pair(key, value, MEANINGS[key]) for key, value in table["limits"].items()]
-    lines += ["", *_listing(tips), "[planner]"]
+    lines += ["", *_listing(tips, names), "[planner]"]
     lines += [_pair(key, value, MEANINGS.get(key, "")) for key, value in table["planner"].items()]
     given = {key: value for key, value in table["tube"].items() if value != _default_tube().get(key)}
     lines += ["", "# [tube] holds the planner's own settings; case.toml of a run folder lists all of them.", "[tube]"]
@@ -222,7 +233,7 @@ def _facts(lumen: Lumen) -> list[str]:
     return [_one_line(fact) for fact in facts] + [f"# Note: {_one_line(note)}" for note in lumen.warnings]
 
 
-def _listing(tips: Sequence[Endpoint]) -> list[str]:
+def _listing(tips: Sequence[Endpoint], names: Mapping[str, str]) -> list[str]:
     """End points as a table in comments."""
     shown = tips[:LISTED]
     lines = [
@@ -233,10 +244,9 @@ def _listing(tips: Sequence[Endpoint]) -> list[str]:
     ]
     for tip in shown:
         x, y, z = tip.point
-        cap = f"  cap {tip.cap}" if tip.cap else ""
-        lines.append(
-            f"#   {tip.label:<5} {x:8.1f} {y:8.1f} {z:8.1f} {tip.radius:8.2f} {tip.branch_length:7.1f} {tip.confidence:5.2f}{cap}"
-        )
+        more = (f"  {names[tip.label]}" if tip.label in names else "") + (f"  cap {tip.cap}" if tip.cap else "")
+        figures = f"{x:8.1f} {y:8.1f} {z:8.1f} {tip.radius:8.2f} {tip.branch_length:7.1f} {tip.confidence:5.2f}"
+        lines.append(f"#   {tip.label:<5} {figures}{more}")
     return lines
 
 

@@ -132,11 +132,23 @@ def error_of_pose(value: Any, where: str) -> tuple[float, float] | str:
 
 
 def end_place(value: Any, where: str) -> Place:
-    """A start or goal: coordinates, or a label like E2 from ``tubeplan endpoints``."""
+    """A start or goal: coordinates, a label like E2 from ``tubeplan endpoints``, or the name of the part with an end point.
+
+    Labels come back in capitals, names without.
+    """
     if isinstance(value, str):
-        label = value.strip().upper()
-        if label[:1] == "E" and label[1:].isdigit():
-            return label
+        words = " ".join(value.split())
+        if is_label(words):
+            return words.upper()
+        if "," not in value and any(letter.isalpha() for letter in words):
+            return words.casefold()
         if "," not in value:
-            raise CaseError(f"{where}: found {brief(value)}, expected X,Y,Z in mm or a label like E2 from `tubeplan endpoints`")
+            raise CaseError(
+                f"{where}: found {brief(value)}, expected X,Y,Z in mm, or a label like E2 or a name from `tubeplan endpoints`"
+            )
     return point(value, where)
+
+
+def is_label(words: str) -> bool:
+    """Whether words are the label of an end point, known or not."""
+    return words[:1].upper() == "E" and words[1:].isdecimal()

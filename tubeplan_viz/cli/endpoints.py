@@ -14,7 +14,7 @@ from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import LUMEN, Json, Quiet, some_case_options
 from tubeplan_viz.cli.show import progress
-from tubeplan_viz.pipeline import Stopwatch, endpoint_details, grow_tree, load_lumen
+from tubeplan_viz.pipeline import Stopwatch, case_end_names, endpoint_details, grow_tree, load_lumen
 
 
 @some_case_options(*LUMEN, "closed_ends", "centerline_step")
@@ -25,13 +25,14 @@ def endpoints(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """List the tips of the lumen's tree, for --start and --goal.
+    """List the tips of the lumen's tree, for --start and --goal; with an anatomy their parts, which --goal takes too.
 
     Example: tubeplan endpoints ureter.stl
     """
     inputs = dict(given.get("input", {}))
     if source is not None:
         inputs["mesh"] = source / "mesh.ply" if source.is_dir() else source
+        inputs = run_anatomy(source) | inputs
     if not inputs.get("mesh") and not inputs.get("ct"):
         raise CaseError("name a mesh file or run folder, or give a CT with --ct")
     case = make_case({**given, "input": inputs}, name="options")
@@ -40,13 +41,14 @@ def endpoints(
         lumen = load_lumen(case.input, watch=watch)
         with watch.stage("end points"):
             tree = grow_tree(lumen.surface, closed_ends=case.planner.closed_ends, settings=case.centerline)
-    tips = [endpoint_details(tip) for tip in tree.endpoints]
+            names = case_end_names(case, lumen, tree)
+    tips = [endpoint_details(tip, names.get(tip.label)) for tip in tree.endpoints]
     if json:
         typer.echo(json_text.dumps({"frame": tree.surface.frame, "endpoints": tips}, indent=1))
         return
     table = Table(box=None, pad_edge=False)
-    for heading in ("label", "x mm", "y mm", "z mm", "radius mm", "branch mm", "confidence", "cap"):
-        table.add_column(heading, justify="left" if heading in ("label", "cap") else "right")
+    for heading in ("label", "x mm", "y mm", "z mm", "radius mm", "branch mm", "confidence", "cap", *(["name"] if names else [])):
+        table.add_column(heading, justify="left" if heading in ("label", "cap", "name") else "right")
     for tip in tips:
         x, y, z = (f"{v:.1f}" for v in tip["point_mm"])
         table.add_row(
@@ -58,5 +60,16 @@ def endpoints(
             f"{tip['branch_length_mm']:.1f}",
             f"{tip['confidence']:.2f}",
             tip["cap"] or "",
+            *([tip["name"]] if names else []),
         )
-    Console().print(table)
+    Console(width=None if Console().is_terminal else 120).print(table)
+
+
+def run_anatomy(source: Path) -> dict[str, str]:
+    """What the lumen of a run folder is, as an input's table; empty for a mesh file or where it is not known."""
+    try:
+        result = json_text.loads((source / "result.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    anatomy = result["provenance"]["settings"].get("input", {}).get("anatomy")
+    return {"anatomy": anatomy} if isinstance(anatomy, str) else {}

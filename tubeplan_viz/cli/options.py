@@ -43,8 +43,25 @@ CASE_OPTIONS: dict[str, tuple[str, str, Any, Any]] = {
     "hu_max": ("input", "hu_max", str, typer.Option("--hu-max", help="Upper HU limit, or auto.")),
     "connectivity": ("input", "connectivity", int, typer.Option("--connectivity", help="6 or 26 neighbours.")),
     "smoothing": ("input", "smoothing_mm", float, typer.Option("--smoothing", help="Gaussian before growing, mm; 0 for none.")),
-    "start": ("planner", "start", str, typer.Option("--start", help="X,Y,Z in mm, or a label from `tubeplan endpoints`.")),
-    "goal": ("planner", "goal", str, typer.Option("--goal", help="X,Y,Z in mm, or a label from `tubeplan endpoints`.")),
+    "start": (
+        "planner",
+        "start",
+        str,
+        typer.Option("--start", help="X,Y,Z in mm, or a label or name from `tubeplan endpoints`."),
+    ),
+    "goal": ("planner", "goal", str, typer.Option("--goal", help="X,Y,Z in mm, or a label or name from `tubeplan endpoints`.")),
+    "start_direction": (
+        "tube",
+        "start_direction",
+        str,
+        typer.Option("--start-direction", help="X,Y,Z: the way the path sets out, of any length, for --method optimal."),
+    ),
+    "goal_direction": (
+        "tube",
+        "goal_direction",
+        str,
+        typer.Option("--goal-direction", help="X,Y,Z: the way the path arrives, of any length, for --method optimal."),
+    ),
     "method": (
         "planner",
         "method",

@@ -1,13 +1,14 @@
 """The one way through: case -> volume -> surface -> plan -> outputs."""
 
 from tubeplan_viz.pipeline.bronchoscope import run_bronchoscope
+from tubeplan_viz.pipeline.ends import case_end_names, find_end, pose_case, resolve_end
 from tubeplan_viz.pipeline.lumen import Lumen, growth_details, load_lumen, segmentation_settings
 from tubeplan_viz.pipeline.needle import run_needle
 from tubeplan_viz.pipeline.options import RunOptions
 from tubeplan_viz.pipeline.progress import Notify, Stopwatch, silent
 from tubeplan_viz.pipeline.rigid import run_rigid
 from tubeplan_viz.pipeline.segment import segment_case
-from tubeplan_viz.pipeline.tree import Tree, endpoint_details, grow_tree, pose_case, resolve_end
+from tubeplan_viz.pipeline.tree import Tree, endpoint_details, grow_tree
 from tubeplan_viz.pipeline.tube import run_tube, surface_details
 
 __all__ = [
@@ -16,7 +17,9 @@ __all__ = [
     "RunOptions",
     "Stopwatch",
     "Tree",
+    "case_end_names",
     "endpoint_details",
+    "find_end",
     "grow_tree",
     "growth_details",
     "load_lumen",

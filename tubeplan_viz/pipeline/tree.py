@@ -1,19 +1,16 @@
-"""The lumen made ready for planning: flat ends, Voronoi graph, end points, start and goal."""
+"""The lumen made ready for planning: flat ends, Voronoi graph, end points, branches."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.caps import mark_flat_ends
-from segmentation.errors import CaseError
 from segmentation.mesh import Surface
-from tubeplan_viz.cases.fields import Place
-from tubeplan_viz.cases.tube import Case
 from tubeplan_viz.centerline import (
     CenterlineSettings,
     CenterlineTree,
@@ -24,8 +21,6 @@ from tubeplan_viz.centerline import (
     voronoi_graph,
 )
 from tubeplan_viz.geometry import WallDistance
-from tubeplan_viz.pipeline.lumen import Lumen
-from tubeplan_viz.tube import TubeProblem, pose_problem
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,39 +51,6 @@ def tips_of(surface: Surface, *, closed_ends: bool, settings: CenterlineSettings
     wall = WallDistance(surface, closed_ends=closed_ends)
     graph = voronoi_graph(surface, wall)
     return Tree(surface=surface, wall=wall, graph=graph, endpoints=find_endpoints(graph, wall, settings=settings))
-
-
-def resolve_end(name: str, given: Place | None, endpoints: tuple[Endpoint, ...]) -> np.ndarray:
-    """Coordinates of a start or goal given as coordinates or as a label.
-
-    Raises
-    ------
-    CaseError
-        If nothing was given or there is no such label.
-    """
-    listing = "; ".join("{} ({:.1f}, {:.1f}, {:.1f})".format(tip.label, *tip.point) for tip in endpoints)
-    if given is None:
-        raise CaseError(f"no {name} was given; give --{name} X,Y,Z in mm or one of the lumen's end points: {listing}")
-    if not isinstance(given, str):
-        return np.array(given, dtype=float)
-    for tip in endpoints:
-        if tip.label == given:
-            return np.array(tip.point)
-    raise CaseError(f"the lumen has no end point {given}; it has {listing}")
-
-
-def pose_case(case: Case, lumen: Lumen) -> tuple[TubeProblem, Tree]:
-    """Start and goal on the wall made ready, and the centerline between them."""
-    settings = case.tube_settings
-    tree = grow_tree(lumen.surface, closed_ends=settings.closed_ends, settings=settings.centerline)
-    start, goal = (resolve_end(name, getattr(case.planner, name), tree.endpoints) for name in ("start", "goal"))
-    if not settings.closed_ends:
-        marked = mark_flat_ends(tree.surface, np.array([start, goal]))
-        if len(marked.caps) != len(tree.surface.caps):
-            wall = WallDistance(marked)
-            tree = replace(tree, surface=marked, wall=wall, graph=voronoi_graph(marked, wall))
-    problem = pose_problem(tree.surface, start, goal, case.limits, settings, wall=tree.wall, graph=tree.graph)
-    return problem, tree
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -160,8 +122,8 @@ def grown_from(
     return Branching(root=root, labels=tuple(labels), branches=branches)
 
 
-def endpoint_details(tip: Endpoint) -> dict[str, Any]:
-    """One end point for result.json and ``tubeplan endpoints --json``."""
+def endpoint_details(tip: Endpoint, name: str | None = None) -> dict[str, Any]:
+    """One end point for result.json and ``tubeplan endpoints --json``, with the name of its part where that is known."""
     return {
         "label": tip.label,
         "point_mm": tip.point.tolist(),
@@ -169,4 +131,5 @@ def endpoint_details(tip: Endpoint) -> dict[str, Any]:
         "branch_length_mm": tip.branch_length,
         "confidence": tip.confidence,
         "cap": tip.cap,
+        "name": name,
     }

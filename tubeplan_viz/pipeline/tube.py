@@ -15,11 +15,13 @@ from segmentation.mesh_files import write_ply
 from tubeplan_viz.cases.tube import Case, case_table, case_text
 from tubeplan_viz.endoluminal import Film
 from tubeplan_viz.measures import path_parts
+from tubeplan_viz.pipeline.ends import pose_case
 from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
 from tubeplan_viz.pipeline.measures import measure_run
 from tubeplan_viz.pipeline.options import RunOptions
+from tubeplan_viz.pipeline.parts import end_names
 from tubeplan_viz.pipeline.progress import Stopwatch
-from tubeplan_viz.pipeline.tree import Tree, branches_on_way, end_label, endpoint_details, pose_case
+from tubeplan_viz.pipeline.tree import Tree, branches_on_way, end_label, endpoint_details
 from tubeplan_viz.pipeline.walk import film_of, walk_details
 from tubeplan_viz.plan import Plan, PlanStep
 from tubeplan_viz.profile import sharpest_place
@@ -100,6 +102,8 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                     settings=case.centerline,
                 )
             details["measures"] = measured.details
+            names = end_names(measured.parts, tree)
+            details["endpoints"] = [endpoint_details(tip, names.get(tip.label)) for tip in tree.endpoints]
             details["parts"] = path_parts(measured.parts, problem.centerline.points, plan.profile.arc_length, plan.profile.points)
             inputs = (*lumen.inputs, *measured.inputs)
             provenance = Provenance(inputs=inputs, rng_seed=case.planner.rng_seed, settings=case_table(case))
@@ -186,7 +190,6 @@ def case_details(
         **details,
         "case_id": case_name(case),
         "surface": surface_details(surface) | {"deviation_mm": deviation},
-        "endpoints": [endpoint_details(tip) for tip in tree.endpoints],
         "start_label": end_label(tree, problem.start),
         "goal_label": end_label(tree, problem.goal),
         "image": dict(lumen.facts),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -149,7 +149,7 @@ def check_ends(result: Mapping[str, Any], case: Mapping[str, Any] | None) -> Ite
                 name=f"ends: {name}",
                 ok=False,
                 found=f"no {name} in case.toml or the settings",
-                expected="a point, or the label of one of details.endpoints",
+                expected="a point, or the label or name of one of details.endpoints",
                 text=f"Whether the path has the {name} asked for cannot be checked.",
             )
             continue
@@ -184,14 +184,23 @@ def check_limits(result: Mapping[str, Any], case: Mapping[str, Any] | None) -> I
 
 
 def _asked(case: Mapping[str, Any] | None, name: str, result: Mapping[str, Any]) -> FloatArray | None:
-    """The point asked for: coordinates, or an end point's label, at the top of the case or in one of its tables."""
+    """The point asked for: coordinates, or an end point's label or name, at the top of the case or in one of its tables."""
     if case is None:
         return None
     tables = [case, *(value for value in case.values() if isinstance(value, Mapping))]
     value = next((table[name] for table in tables if table.get(name) is not None), None)
     if isinstance(value, str):
-        labelled = {point["label"]: point["point_mm"] for point in result["details"].get("endpoints") or []}
-        value = labelled.get(value)
+        value = _meant(value.strip(), result["details"].get("endpoints") or [])
     if not isinstance(value, (list, tuple)) or len(value) != 3:
         return None
     return np.array(value, dtype=float)
+
+
+def _meant(words: str, endpoints: Sequence[Mapping[str, Any]]) -> Any:
+    """The place of the only end point whose label or whole name the words are, else whose name holds them; None without one."""
+    low = words.lower()
+    named = [(point["label"].lower(), (point.get("name") or "").lower(), point["point_mm"]) for point in endpoints]
+    whole = [place for label, name, place in named if low in (label, name)]
+    holding = [place for _, name, place in named if low in name]
+    found = whole or holding
+    return found[0] if len(found) == 1 else None

@@ -54,7 +54,7 @@ FAULTS = {
     "range": ("[limits]\ncurvature_max = 50\n", "case.toml, line 5: [limits] curvature_max is 50 1/mm, expected 0.0001 to 10"),
     "unknown key": ("[planner]\n# where\nstrat = 'E1'\n", "case.toml, line 6: [planner]: unknown key 'strat'"),
     "unknown table": ("[limit]\nclearance_min = 1\n", "case.toml, line 4: unknown table 'limit'"),
-    "end": ("[planner]\nstart = 'top'\n", "case.toml, line 5: [planner] start: found 'top'"),
+    "end": ("[planner]\nstart = '12'\n", "case.toml, line 5: [planner] start: found '12'"),
     "value without its key": ("[planner]\nname = 'laser'\n", "case.toml, line 5: [planner] there is no planner 'laser' yet"),
 }
 

@@ -55,7 +55,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"input": MESH, "limits": []}, r"limits is \[\], expected a table"),
     ({"input": MESH, "planner": {"name": "laser"}}, "there is no planner 'laser' yet"),
     ({"input": MESH, "planner": {"name": 3}}, r"\[planner\] name: found 3, expected text"),
-    ({"input": MESH, "planner": {"start": "E"}}, r"\[planner\] start: found 'E', expected X,Y,Z in mm or a label like E2"),
+    ({"input": MESH, "planner": {"start": "1 2 3"}}, r"\[planner\] start: found '1 2 3', expected X,Y,Z in mm, or a label"),
     ({"input": MESH, "planner": {"start": "1,2"}}, r"\[planner\] start: found \[1\.0, 2\.0\], expected three numbers"),
     ({"input": MESH, "planner": {"goal": "1,2,x"}}, r"\[planner\] goal: found '1,2,x', expected X,Y,Z in mm"),
     ({"input": MESH, "planner": {"goal": [1, 2, float("inf")]}}, r"\[planner\] goal: found inf, expected a finite number"),

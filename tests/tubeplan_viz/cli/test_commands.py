@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from segmentation.mesh_files import write_ply
+from segmentation.synthetic import weibel_airway
 from tubeplan_viz import __version__
 from tubeplan_viz.recording import read_recording
 from tubeplan_viz.verify import verify_run
@@ -61,6 +63,29 @@ def test_a_plan_that_holds_ends_with_0(tubeplan: Call, meshes: Path, tmp_path: P
     assert done.err == ""
     assert done.out.startswith("holds: both limits are kept and proved")
     assert json.loads((tmp_path / "run" / "result.json").read_text())["status"] == "ok"
+
+
+def test_an_airways_ends_have_names_that_start_and_goal_take(tubeplan: Call, tmp_path: Path) -> None:
+    write_ply(weibel_airway(generations=1, voxel=1.0).surface, tmp_path / "airway.ply")
+    listed = json.loads(tubeplan("endpoints", tmp_path / "airway.ply", "--anatomy", "airway", "--json").out)["endpoints"]
+    names = {tip["name"]: tip["label"] for tip in listed}
+    assert names.keys() == {"trachea", "left main bronchus", "right main bronchus"}
+    shown = tubeplan("endpoints", tmp_path / "airway.ply", "--anatomy", "airway", "-q").out
+    assert re.search(r"E1 .* trachea", shown)
+    done = tubeplan(
+        "plan", "tube", "--mesh", tmp_path / "airway.ply", "--anatomy", "airway", "--start", "trachea", "--goal", "Left main",
+        "--clearance-min", "2", "-o", tmp_path / "run", *LOCAL, *BARE,
+    )  # fmt: skip
+    assert done.status in (0, 3), done.err
+    assert "through trachea, left main bronchus" in done.out
+    details = json.loads((tmp_path / "run" / "result.json").read_text())["details"]
+    assert (details["start_label"], details["goal_label"]) == ("E1", names["left main bronchus"])
+    assert [part["name"] for part in details["parts"]] == ["trachea", "left main bronchus"]
+    assert {tip["label"]: tip["name"] for tip in details["endpoints"]} == {label: name for name, label in names.items()}
+    # A run folder knows what its lumen is.
+    of_run = json.loads(tubeplan("endpoints", tmp_path / "run", "--json").out)["endpoints"]
+    assert {tip["name"] for tip in of_run} == names.keys()
+    assert verify_run(tmp_path / "run").faults == ()
 
 
 def test_a_plan_with_flags_ends_with_3_and_names_them(tubeplan: Call, meshes: Path, tmp_path: Path) -> None:
