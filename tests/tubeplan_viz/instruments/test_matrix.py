@@ -104,7 +104,7 @@ def test_working_length_counts_what_is_used_up_before_the_start(fork: Any) -> No
     verdicts = [row[0].verdict for row in judged(fork, near, before_start_mm=100.0).cells]
     assert verdicts == [Verdict.FEASIBLE, Verdict.FLAGGED]
     straight = float(np.linalg.norm(fork.targets[0].point - START))
-    never = judged(fork, [scope("never", 1.0, 8.0, reach=straight - 1.0)]).cells[0][0]
+    never = judged(fork, [scope("never", 1.0, 8.0, reach=straight + 99.0)], before_start_mm=100.0).cells[0][0]
     assert never.verdict is Verdict.IMPOSSIBLE
     assert "in a straight line" in never.reason
 
