@@ -15,7 +15,7 @@ from segmentation.errors import CaseError, RegionError
 from segmentation.volume import Volume
 from tubeplan_viz.cases.tube import read_case
 from tubeplan_viz.initial_case import find_instrument, write_case
-from tubeplan_viz.instruments import read_catalogue
+from tubeplan_viz.instruments import Instrument, read_catalogue
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"
 
@@ -89,6 +89,16 @@ def test_an_instrument_gives_the_limits(tubeplan: Callable, tube: Path, tmp_path
     limits = read_case(file).limits
     assert (limits.curvature_max, limits.clearance_min) == (pytest.approx(0.1), pytest.approx(1.0))
     assert "Test scope, 6 Fr" in file.read_text()
+
+
+def test_a_whole_name_is_meant_even_where_a_longer_one_holds_it() -> None:
+    short, long = (
+        Instrument(name=name, kind="scope", outer_diameter_mm=2.0, bend_radius_min_mm=8.0)
+        for name in ("scope 6 Fr", "scope 6 Fr long")
+    )
+    assert find_instrument("Scope 6 Fr", [long, short]) is short
+    with pytest.raises(CaseError, match="'6 Fr' fits more than one instrument; expected one of: scope 6 Fr long; scope 6 Fr"):
+        find_instrument("6 Fr", [long, short])
 
 
 def test_an_instrument_must_be_one() -> None:
