@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from tubeplan_viz.result import kept_until
+
 DERIVED: Mapping[str, str] = MappingProxyType(
     {
         "derived:margin_mm": "metrics.clearance_min_mm - limits.clearance_min_mm",
         "derived:narrow_by_mm": "limits.clearance_min_mm - details.bottleneck.clearance_upper_bound_mm",
-        "derived:kept_until_mm": "the least flagged_intervals.N.from_mm",
+        "derived:kept_until_mm": "path.s_mm at the last sample but one below the least flagged_intervals.N.from_mm",
         "derived:clearance_min_at_mm": "path.s_mm at the first least value of path.clearance_mm",
         "derived:curvature_max_at_mm": "path.s_mm at the first largest value of path.curvature_per_mm",
         "derived:bend_radius_mm": "1 / metrics.curvature_max_per_mm",
@@ -61,8 +63,8 @@ def derived_values(result: Mapping[str, Any]) -> dict[str, float]:
     bound = ((result.get("details") or {}).get("bottleneck") or {}).get("clearance_upper_bound_mm")
     if bound is not None and asked is not None:
         values["derived:narrow_by_mm"] = asked - bound
-    if flags:
-        values["derived:kept_until_mm"] = float(min(flag["from_mm"] for flag in flags))
+    if (kept := kept_until(result)) is not None:
+        values["derived:kept_until_mm"] = kept[0]
     if sharpest:
         values["derived:bend_radius_mm"] = 1.0 / sharpest
     if allowed:

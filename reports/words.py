@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, sentence
-from tubeplan_viz.result import STRAIGHT_MM
+from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
+from tubeplan_viz.result import STRAIGHT_MM, kept_until
 
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 # Words of --objective other than the default.
@@ -242,12 +242,13 @@ def _lead(source: Source, status: str, parts: Sequence[Mapping[str, Any]]) -> Ph
 
 def _kept_until(source: Source, parts: Sequence[Mapping[str, Any]]) -> tuple[Phrase, ...]:
     """How far along the best path found both limits hold, where they do for a stretch worth a word."""
-    until, length = source.figure("derived:kept_until_mm", 1, "mm"), source.figure("metrics.length_mm", 1, "mm")
-    if until is None or length is None or until.value < 1.0:
+    kept, length = kept_until(source.result), source.figure("metrics.length_mm", 1, "mm")
+    if kept is None or length is None:
         return ()
-    place = part_at(parts, until.value)
-    where = f", in the {place}" if place else ""
-    return (phrase(" The best path found keeps both limits up to ", until, " of ", length, f"{where}."),)
+    place = part_at(parts, kept[0])
+    where = (f", in the {place}" if place else "") + f", at ({', '.join(printed(v, 1) for v in kept[1])})\u00a0mm."
+    until = source.need("derived:kept_until_mm", 1, "mm")
+    return (phrase(" The best path found keeps both limits up to ", until, " of ", length, where),)
 
 
 def _instrument(source: Source) -> KeyFigure | None:

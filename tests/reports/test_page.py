@@ -99,8 +99,11 @@ def test_no_path_is_stated_by_what_is_proved_and_says_how_far_the_best_one_holds
     details["bottleneck"] = {**way, "bend": None, "end": None}
     said = text_of(render_report(review)).replace("\u00a0", " ")
     assert f"No path: the lumen is too narrow by {asked - bound:.2f} mm" in said
-    until = min(flag["from_mm"] for flag in review.result["flagged_intervals"])
-    assert f"keeps both limits up to {until:.1f} mm of {review.result['metrics']['length_mm']:.1f} mm." in said
+    first = min(flag["from_mm"] for flag in review.result["flagged_intervals"])
+    path = review.result["path"]
+    k = [k for k, s in enumerate(path["s_mm"]) if s < first][-2]
+    assert f"keeps both limits up to {path['s_mm'][k]:.1f} mm of {review.result['metrics']['length_mm']:.1f} mm, at (" in said
+    assert path["clearance_mm"][k] >= asked
     details["bottleneck"]["end"] = "goal"
     said = text_of(render_report(review)).replace("\u00a0", " ")
     assert f"No path: the goal itself lies too near the wall by {asked - bound:.2f} mm" in said

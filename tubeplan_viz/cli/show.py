@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from tubeplan_viz.cli.options import Outputs
 from tubeplan_viz.pipeline import Notify, silent
 from tubeplan_viz.planners import run_case
+from tubeplan_viz.result import kept_until
 
 EXIT_STATUS = {"ok": 0, "flagged": 3, "infeasible": 4}
 
@@ -103,6 +104,10 @@ def outcome_lines(result: Mapping[str, Any]) -> list[str]:
             f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, "
             f"worst {flag['worst']:.4g} {unit} at {place_words(details, flag['worst_at_mm'])}"
         )
+    reached = kept_until(result) if result["status"] == "infeasible" else None
+    if reached is not None:
+        x, y, z = reached[1]
+        lines.append(f"both limits are kept up to {place_words(details, reached[0])}: a goal at {x:.2f},{y:.2f},{z:.2f} is reached")
     return lines + relief_lines(details) + [f"note: {text}" for text in details.get("warnings") or ()]
 
 

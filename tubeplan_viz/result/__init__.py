@@ -5,6 +5,7 @@ from tubeplan_viz.result.document import Provenance, assemble_result, build_resu
 from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, flag_markups, path_csv, slicer_markups
 from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, not_a_run, read_result
+from tubeplan_viz.result.reached import kept_until
 from tubeplan_viz.result.review import Review
 from tubeplan_viz.result.schema import check_schema, result_schema, shipped_schema, validate_result
 
@@ -27,6 +28,7 @@ __all__ = [
     "file_sha256",
     "flag_markups",
     "is_run",
+    "kept_until",
     "not_a_run",
     "path_csv",
     "plain",

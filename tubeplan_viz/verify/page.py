@@ -155,7 +155,9 @@ def derived(result: Mapping[str, Any], key: str) -> tuple[bool, float]:
             case "narrow_by_mm":
                 return True, limits["clearance_min_mm"] - result["details"]["bottleneck"]["clearance_upper_bound_mm"]
             case "kept_until_mm":
-                return bool(flags), min((flag["from_mm"] for flag in flags), default=0.0)
+                first = min((flag["from_mm"] for flag in flags), default=0.0)
+                before = sorted(s for s in path["s_mm"] if s < first)
+                return len(before) > 1, before[-2]
             case "bend_radius_mm":
                 return True, 1.0 / metrics["curvature_max_per_mm"]
             case "bend_radius_limit_mm":

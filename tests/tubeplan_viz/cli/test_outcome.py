@@ -72,6 +72,16 @@ def test_where_nothing_holds_the_smallest_changes_are_told(clearance: float | No
     assert said in lines
 
 
+def test_where_nothing_holds_the_last_place_that_does_is_told_as_a_goal() -> None:
+    path = {"s_mm": [0.0, 1.0, 2.0, 3.0, 4.0], "points_mm": [[0.0, 0.0, z] for z in (0.0, 1.0, 2.0, 3.0, 4.0)]}
+    flags = [{"kind": "clearance", "from_mm": 3.5, "to_mm": 4.0, "worst": 1.0, "worst_at_mm": 4.0}]
+    lines = outcome_lines(result(status="infeasible", reason="no path exists", path=path, flagged_intervals=flags))
+    assert "both limits are kept up to 2.0 mm, ureter: a goal at 0.00,0.00,2.00 is reached" in lines
+    flags[0]["from_mm"] = 0.5
+    lines = outcome_lines(result(status="infeasible", reason="no path exists", path=path, flagged_intervals=flags))
+    assert not [line for line in lines if "is reached" in line]
+
+
 def test_a_planner_without_clearance_or_parts_tells_what_it_has() -> None:
     metrics = {"length_mm": 80.0, "clearance_min_mm": None, "curvature_max_per_mm": 0.1, "tip_error_mm": 0.012}
     limits = {"clearance_min_mm": None, "curvature_max_per_mm": None}
