@@ -17,7 +17,8 @@ from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
 from tubeplan_viz.bronchoscope.target import Target
 from tubeplan_viz.bronchoscope.way import LEAK, make_simulator, plan_way
 from tubeplan_viz.pipeline import Notify, grow_tree
-from tubeplan_viz.reach import SAMPLES, BranchReach, Verdict, reach_map
+from tubeplan_viz.reach import SAMPLES
+from tubeplan_viz.reach_map import BranchReach, Verdict, reach_map
 
 AIRWAYS = {"cmb_crc_chest_ct": "cmb_crc", "elastix_right_lung": "elastix", "hubmap_airway_female": "HuBMAP airway"}
 # In the simulator a plan takes ten seconds, so the deepest few of each airway are enough.

@@ -23,7 +23,7 @@ from tubeplan_viz.bronchoscope.target import branch_target, lesion_target, point
 from tubeplan_viz.bronchoscope.way import make_simulator, plan_way
 from tubeplan_viz.cli.app import status_of
 from tubeplan_viz.plan import NoPathError
-from tubeplan_viz.reach import Verdict, reach_map
+from tubeplan_viz.reach_map import Verdict, reach_map
 from tubeplan_viz.verify import verify_run
 
 GOAL = "right apical segment"
