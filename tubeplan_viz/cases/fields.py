@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
+from segmentation.mesh_files import FARTHEST_MM
 from tubeplan_viz.tolerance import PRESETS
 
 Place = tuple[float, float, float] | str
@@ -79,6 +80,14 @@ def number(value: Any, where: str, wanted: str = "a finite number") -> float:
     return float(value)
 
 
+def coordinate(value: Any, where: str) -> float:
+    """A number that can be a place's, mm: distances between larger ones lose their digits."""
+    found = number(value, where)
+    if abs(found) > FARTHEST_MM:
+        raise CaseError(f"{where}: found {found:g}, expected at most {FARTHEST_MM:g} mm from the origin; check the unit")
+    return found
+
+
 def table_rows(table: Mapping[str, Any], key: str, name: str) -> list[Any]:
     """The tables ``[[key]]`` of a case file; empty when there are none."""
     found = table.get(key, [])
@@ -112,7 +121,7 @@ def point(value: Any, where: str) -> tuple[float, float, float]:
             raise CaseError(f"{where}: found {brief(value)}, expected X,Y,Z in mm") from None
     if not isinstance(value, Sequence) or len(value) != 3:
         raise CaseError(f"{where}: found {brief(value)}, expected three numbers in mm")
-    x, y, z = (number(v, where) for v in value)
+    x, y, z = (coordinate(v, where) for v in value)
     return (x, y, z)
 
 

@@ -56,6 +56,7 @@ SPACE_KEYS = {
     "stop_error_mm": ("swarm", "stop_error"),
 }
 WHOLE = ("degree_max", "pieces", "particles", "rounds", "restarts")
+LONGEST_MM = 1000.0  # no needle is that long; a target in metres or micrometres is told by it
 PLACES = ("entry", "target", "direction")
 INPUTS = ("case_id", "ct", "series", *HU_KEYS[:3])
 
@@ -143,6 +144,9 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
     skin = flag(own.pop("skin", False), f"{name} skin")
     if skin and "ct" not in given:
         raise CaseError(f"{name} skin: there is no CT that shows the skin; name it as ct in [input] (--ct)")
+    apart = float(np.linalg.norm(np.subtract(places["target"], places.get("entry", (0.0,) * (2 if flat else 3)))))
+    if apart > LONGEST_MM:
+        raise CaseError(f"{name} target: is {apart:g} mm from the entry, expected at most {LONGEST_MM:g} mm; check the unit")
     planar, spatial = settings_of(own, flat, name)
     return NeedleCase(
         name=which,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, read_table, table_rows, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, coordinate, located, number, point, read_table, table_rows, text, whole
 from tubeplan_viz.needle.monte_carlo import MonteCarloSettings
 
 FLAT_KINDS, SPACE_KINDS = ("circle", "polygon"), ("sphere", "capsule", "mesh", "mask")
@@ -72,7 +72,7 @@ def place(value: Any, size: int, where: str) -> tuple[float, ...]:
             ) from None
     if not isinstance(value, Sequence) or len(value) != size:
         raise CaseError(f"{where}: found {brief(value)}, expected {size} numbers in mm")
-    return tuple(number(part, where) for part in value)
+    return tuple(coordinate(part, where) for part in value)
 
 
 def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> ObstacleCase:
@@ -90,6 +90,8 @@ def obstacle_case(row: Any, flat: bool, folder: Path | None, where: str) -> Obst
         if key not in row:
             raise CaseError(f"{where}: a {kind} needs {key}")
     check_keys(row, (*NEEDED[kind], "kind", *(HU_KEYS if kind == "mask" else ())), f"{where} ({kind})", "key")
+    if "points" in row and not table_rows(row, "points", where):
+        raise CaseError(f"{where} points: found none, expected the corners or the line of a {kind}")
     if "hu_min" not in row and any(key in row for key in HU_KEYS):
         raise CaseError(f"{where}: hu_max, seed_point and series are for a CT; give hu_min too")
     lowest = number(row["hu_min"], f"{where} hu_min") if "hu_min" in row else None

@@ -11,7 +11,7 @@ import numpy as np
 
 from segmentation.anatomy.nasal.scene import SIDES, STRUCTURES
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, subtable, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, coordinate, located, number, point, subtable, text, whole
 from tubeplan_viz.cases.writing import case_file, in_unit_of, listed, shown_path, written
 from tubeplan_viz.instruments.rigid_catalogue import coupled_instrument, read_rigid_catalogue, thinnest_pair
 from tubeplan_viz.rigid import GOALS, CoupledInstrument, SearchSettings, Weights
@@ -159,7 +159,7 @@ def box(value: Any, where: str) -> tuple[float, ...]:
             value = []
     if not isinstance(value, list | tuple) or len(value) != 6:
         raise CaseError(f"{where}: found {brief(value)}, expected two opposite corners, X,Y,Z,X,Y,Z in LPS mm")
-    return tuple(number(part, where) for part in value)
+    return tuple(coordinate(part, where) for part in value)
 
 
 def rigid_case_table(case: RigidCase, *, folder: Path | None = None) -> dict[str, Any]:

@@ -21,6 +21,8 @@ FORMS = {
     4: ("LRLR", "LRRL", "LRRR", "RLRL", "RLRR", "RRLR", "RRRL", "RRRR"),
 }
 
+WEIGHT_MAX = 1e6  # beyond, sums with lengths lose their digits
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlanarSettings:
@@ -62,14 +64,24 @@ class PlanarSettings:
             raise CaseError(f"safety_mm is {self.safety:g}, expected 0 to 100")
         if self.degree_max not in FORMS:
             raise CaseError(f"degree_max is {self.degree_max}, expected 1 to 4")
-        if min(self.weight_length, self.weight_danger, self.weight_degree) < 0 or self.weight_length == 0:
-            raise CaseError("weights must be 0 or more, that of the length more than 0")
+        weights = (self.weight_length, self.weight_danger, self.weight_degree)
+        if min(weights) < 0 or max(weights) > WEIGHT_MAX or self.weight_length == 0:
+            raise CaseError(
+                f"the weights of length, danger and degree are {', '.join(f'{w:g}' for w in weights)}, "
+                f"expected 0 to {WEIGHT_MAX:g}, that of the length more than 0"
+            )
         if not 0.0 < self.angle_max <= np.pi:
             raise CaseError(f"angle_max is {np.degrees(self.angle_max):g} degrees, expected more than 0 and at most 180")
         if not 0.0 < self.turn_max <= 2.0 * np.pi:
             raise CaseError(f"turn_max is {np.degrees(self.turn_max):g} degrees, expected more than 0 and at most 360")
         if not 1e-6 <= self.piece_min <= 100.0:
             raise CaseError(f"piece_min is {self.piece_min:g} mm, expected 0.000001 to 100")
+        if self.turn_max * self.radius < self.piece_min:
+            raise CaseError(
+                f"turn_max is {np.degrees(self.turn_max):g} degrees, which at radius_mm {self.radius:g} is shorter than "
+                f"piece_min, {self.piece_min:g} mm; no arc is possible, expected {np.degrees(self.piece_min / self.radius):.3g} "
+                "degrees or more"
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -61,8 +61,8 @@ class NeedleSettings:
             raise CaseError(f"cone_deg is {np.degrees(self.cone):g}, expected 0 to 90")
         if not 1e-3 <= self.piece_min <= 50.0:
             raise CaseError(f"piece_min_mm is {self.piece_min:g}, expected 0.001 to 50")
-        if self.weight_danger < 0.0:
-            raise CaseError(f"weight_danger is {self.weight_danger:g}, expected 0 or more")
+        if not 0.0 <= self.weight_danger <= 1e6:
+            raise CaseError(f"weight_danger is {self.weight_danger:g}, expected 0 to 1000000")
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,7 +78,7 @@ def moved_distance(
         begins = [0.0, *(float(event["at_mm"]) for event in moves), np.inf]
         for stage, (begin, end) in enumerate(pairwise(begins)):
             here = points[(s >= begin - SAME_MM) & (s <= end + SAME_MM)]
-            if not len(here):
+            if not len(here) or (stage > 0 and s[-1] <= begin + SAME_MM):  # nothing was pushed after this motion
                 continue
             distance = body if stage == 0 else distance_to(displaced(row, moves[stage - 1]["center"]), Path(), STEP_MM)
             least = min(least, float(distance(here).min()))

@@ -114,3 +114,28 @@ def test_a_key_with_a_typing_error_is_named_with_the_one_that_was_meant(name: st
             wrong[table][key + "_"] = wrong[table].pop(key)
             with pytest.raises(CaseError, match=rf"unknown \w+ '{key}_'; expected one of .*; did you mean {key}\?|needs|no side"):
                 make_case(wrong)
+
+
+@pytest.mark.parametrize(
+    ("name", "way", "value", "words"),
+    [
+        ("tube", ("planner", "goal"), [1e308, 0.0, 0.0], "at most 1e\\+06 mm from the origin; check the unit"),
+        ("needle3d", ("needle3d", "target"), [0.0, 0.0, 9e4], "is 90000 mm from the entry, expected at most 1000 mm"),
+        ("needle3d", ("obstacles", 1, "points"), [], "points: found none, expected the corners or the line of a capsule"),
+        ("needle2d", ("obstacles", 1, "points"), [], "points: found none, expected the corners or the line of a polygon"),
+        # Sums with such a weight lose their digits: every form would seem to be out of reach.
+        ("needle2d", ("needle2d", "weight_length"), 1e308, "expected 0 to 1e\\+06, that of the length more than 0"),
+        # An arc of 1 mm with a radius of 50 mm turns by 0.02 rad.
+        ("needle2d", ("needle2d", "turn_max_deg"), 0.5, "no arc is possible, expected 1.15 degrees or more"),
+        ("bronchoscope", ("limits", "clearance_min"), -1.0, "clearance_min is -1 mm, expected 0 to 100"),
+        ("tube", ("input", "mesh"), "", "found '', expected the path of a file or folder"),
+    ],
+)
+def test_what_no_planner_can_compute_with_is_refused_by_name(name: str, way: tuple[Any, ...], value: Any, words: str) -> None:
+    table = copy.deepcopy(CASES[name])
+    node: Any = table
+    for key in way[:-1]:
+        node = node[key]
+    node[way[-1]] = value
+    with pytest.raises(CaseError, match=words):
+        make_case(table)

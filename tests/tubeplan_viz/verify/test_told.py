@@ -138,3 +138,16 @@ def test_facts_of_the_mesh_that_are_told_are_measured(flagged_run: Path, bent_tu
         text = (flagged_run / "result.json").read_text()
         assert check in altered(flagged_run, way, more)
         (flagged_run / "result.json").write_text(text)
+
+
+def test_an_obstacle_that_moves_onto_a_needle_that_then_stops_is_no_touch_of_what_was_pushed(tmp_path: Path) -> None:
+    table = {
+        "planner": {"name": "needle3d"},
+        "needle3d": {"target": [0.0, 0.0, 100.0], "kappa": 0.02, "safety_mm": 2.0, "restarts": 1, "rounds": 60},
+        "obstacles": [{"kind": "sphere", "center": [0, 5, 40], "radius_mm": 5}],
+        "events": [{"at_mm": 10.0, "obstacle": 1, "center": [0, 0, 10]}],
+    }
+    result = run_case(make_case(table), tmp_path / "run", RunOptions(recording=False, report=False))
+    assert result["status"] == "infeasible"
+    assert "withdraw the needle" in result["reason"]
+    assert verify_run(tmp_path / "run").holds
