@@ -14,13 +14,15 @@ from reports import workspace
 from reports.derived import derived_values
 from reports.figures import Steps, step_chart
 from reports.folds import Fold, folds
-from reports.numbers import Phrase, Source, phrase
+from reports.numbers import Phrase, Source, phrase, printed
 from reports.parts import Drawing, Key, PlanPage, Table, place_keys
-from reports.still import Label, choose_view, still_picture
+from reports.still import Label, View, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH, or_dash
+from reports.turnable import turnable
 from reports.walk import Walk, stages_walk
-from reports.wall import light_mesh
+from reports.wall import LightMesh, light_mesh
+from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from tubeplan_viz.endoluminal import Still
 
@@ -34,9 +36,15 @@ PLACES = 2
 class RobotPage(PlanPage):
     """What the template prints after the head, in its order."""
 
+    frame: str
     views_title: str
     views_line: str
     still: Markup
+    scene: Mapping[str, Any]
+    profiles: Mapping[str, Markup]
+    units: Mapping[str, str]
+    narrowest: float | None
+    ramp: tuple[str, str] | None
     charts: tuple[Drawing, ...]
     tables: tuple[Table, ...]
     folds: tuple[Fold, ...]
@@ -49,6 +57,13 @@ def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Sur
     source = Source(result, derived_values(result))
     status, details = str(result["status"]), result["details"]
     tables = (_stages(source), _route(source), _steps(source))
+    course = workspace.make_course(result["path"] or {}, None, 2)
+    tight, ramp = None, None
+    if course is not None and course.clearance is not None:
+        tight = int(course.clearance.argmin())
+        ramp = workspace.roominess(course, source.value("limits.clearance_min_mm"))[0]
+    picture = _picture(result, surface)
+    still, scene = picture.shown(start=tight or 0, ramp=ramp)
     return RobotPage(
         title=f"{WORDS[status]}: case {case_id}",
         case_id=case_id,
@@ -61,7 +76,13 @@ def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Sur
         keys=_keys(source),
         views_title="Way of the tip",
         views_line="The track of the tip through the airway, with the sub-goals of the stages. " + str(details["assumption"]),
-        still=_still(result, surface),
+        frame=str(result["frame"]),
+        still=still,
+        scene=scene,
+        profiles={} if course is None else workspace.profiles(course, source, {}),
+        units={"clearance": "mm from the tip's track to the wall", "curvature": "1/mm, of the tip's track"},
+        narrowest=None if course is None or tight is None else float(course.arc[tight]),
+        ramp=None if ramp is None else (printed(ramp[0], 1), printed(ramp[1], 1)),
         charts=_charts(source),
         tables=tables,
         folds=folds(source, ()),
@@ -108,7 +129,8 @@ def _keys(source: Source) -> tuple[Key, ...]:
             phrase(source.need("metrics.length_mm", 1, "mm")),
             phrase("way of the tip from the entrance"),
         ),
-        *place_keys(source),
+        *(key for key in place_keys(source) if key.term != "Sharpest bend"),
+        _bend_key(source),
     ]
     contacts = source.result["details"]["contacts"]
     steps = phrase(f"{len(source.result['details']['steps']) - 1} commands for both sections and the push")
@@ -123,7 +145,44 @@ def _keys(source: Source) -> tuple[Key, ...]:
     return tuple(made)
 
 
-def _still(result: Mapping[str, Any], surface: Surface) -> Markup:
+def _bend_key(source: Source) -> Key:
+    """The largest bend of a section: what limits the robot. Its tip may turn on the spot, so that its track says less."""
+    angles = [
+        (abs(float(step["command"][name])), f"details.steps.{k}.command.{name}", k)
+        for k, step in enumerate(source.result["details"]["steps"])
+        if step["command"] is not None
+        for name in ("phi_proximal_deg", "phi_distal_deg")
+    ]
+    allowed = source.need("limits.curvature_max_per_mm", 1, "1/mm")
+    track = phrase(source.need("metrics.curvature_max_per_mm", 2), " of ", allowed)
+    if not angles:
+        return Key("Largest bend", phrase("none"), phrase("the tip's track turns with up to ", track))
+    _, key, step = max(angles)
+    section = "proximal" if "proximal" in key else "distal"
+    most = source.need("details.robot.bend_max_deg", 0, "°")
+    more = phrase("of ", most, f", {section} section, step {step}; the tip's track turns with up to ", track)
+    return Key("Largest bend", phrase(source.need(key, 1, "°")), more)
+
+
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """The airway with what is drawn in it, to stand still and to be turned."""
+
+    mesh: LightMesh
+    path: FloatArray
+    labels: Sequence[Label]
+    view: View
+    words: str
+    lines: Sequence[tuple[str, FloatArray]] = ()
+
+    def shown(self, *, start: int, ramp: tuple[float, float] | None = None) -> tuple[Markup, Mapping[str, Any]]:
+        """The still picture and what the script needs to turn it."""
+        still = still_picture(self.mesh, self.path, (), self.labels, self.view, f"{self.words}.", lines=self.lines)
+        words = self.words[:1].lower() + self.words[1:]
+        return still, turnable(self.mesh, self.view, self.labels, start=start, ramp=ramp, words=words)
+
+
+def _picture(result: Mapping[str, Any], surface: Surface) -> _Picture:
     details = result["details"]
     path = np.asarray(result["path"]["points_mm"], float)
     labels = [
@@ -137,22 +196,16 @@ def _still(result: Mapping[str, Any], surface: Surface) -> Markup:
     ]
     if details["target"]["lesion_mm"] is not None:
         labels.append(Label(np.asarray(details["target"]["lesion_mm"], float), "Lesion", "curvature", 1))
-    mesh = light_mesh(surface)
     # On a mesh the first point is drawn at the bottom: the far end, so that the trachea is at the top.
     spread = surface.vertices[:: max(1, len(surface.vertices) // 500)]
     view = choose_view(np.vstack([path[-1], spread, path[0]]), str(result["frame"]))
-    words = "The wall of the airway with the track of the robot's tip and the sub-goals of its stages."
-    return still_picture(mesh, path, (), tuple(labels), view, words)
+    words = "The wall of the airway with the track of the robot's tip and the sub-goals of its stages"
+    return _Picture(light_mesh(surface), path, labels, view, words)
 
 
 def _charts(source: Source) -> tuple[Drawing, ...]:
     result = source.result
     made = []
-    course = workspace.make_course(result["path"] or {}, None, 2)
-    if course is not None:
-        charts = workspace.profiles(course, source, {})
-        units = {"clearance": "mm from the tip's track to the wall", "curvature": "1/mm, of the tip's track"}
-        made += [Drawing(kind.capitalize(), charts[kind], units[kind]) for kind in ("clearance", "curvature") if kind in charts]
     steps = result["details"]["steps"]
     limit = float(result["details"]["robot"]["bend_max_deg"])
     rows: list[tuple[str, str, str, list[float], float | None, str]] = [
@@ -237,15 +290,16 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
         elif row["verdict"] != "reached":
             labels.append(Label(np.asarray(place, float), row["name"], REACH_KINDS[row["verdict"]], k))
         name = {"reached": "still-path", "diameter": "still-flag curvature"}.get(row["verdict"], "still-flag clearance")
-        lines.append((name, np.asarray(row["points_mm"], float)))
+        reached, beyond = parted(np.asarray(row["points_mm"], float), float(row["depth_mm"] or 0.0))
+        lines += [(kind, line) for kind, line in (("still-path", reached), (name, beyond)) if len(line) > 1]
     mesh = light_mesh(surface)
     words = (
-        f"The airway with {counts['reached']} branches that the robot reaches and {total - counts['reached']} that it does not."
+        f"The airway with {counts['reached']} branches that the robot reaches and {total - counts['reached']} that it does not"
     )
     # A mesh says not what is up: the entrance is, as of an airway that hangs from its trachea.
     entrance, tips = lines[0][1][:1], np.mean([line[-1] for _, line in lines], axis=0)
     view = choose_view(np.vstack([tips, mesh.vertices, entrance]), str(document["frame"]))
-    still = still_picture(mesh, np.empty((0, 3)), (), tuple(labels), view, words, lines=tuple(lines))
+    still, scene = _Picture(mesh, np.empty((0, 3)), tuple(labels), view, words, tuple(lines)).shown(start=0)
     unproved = counts["bend"] + counts["collision"]
     return RobotPage(
         title=f"Reach: case {document['case_id']}",
@@ -258,13 +312,27 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
         warnings=tuple(str(text) for text in document["warnings"]),
         keys=(),
         views_title="Airway",
-        views_line="Blue: reached. Red: refused with a proof. Orange: no way found, without a proof.",
+        views_line="Blue: as far as the tip comes. Red: beyond it in a branch refused with a proof. Orange: without a proof.",
+        frame=str(document["frame"]),
         still=still,
+        scene=scene,
+        profiles={},
+        units={},
+        narrowest=None,
+        ramp=None,
         charts=(),
         tables=(_branches(source),),
         folds=(),
         foot=str(document["rule"]),
     )
+
+
+def parted(points: FloatArray, depth: float) -> tuple[FloatArray, FloatArray]:
+    """A line, (n, 3) mm, up to `depth` mm from its beginning and from there on; either may have one point or none."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = float(np.clip(depth, 0.0, arc[-1]))
+    here = np.array([[np.interp(at, arc, axis) for axis in points.T]])
+    return np.vstack([points[arc < at], here]), np.vstack([here, points[arc > at]])
 
 
 def _reach_sentence(narrow: int, unproved: int) -> str:

@@ -200,10 +200,11 @@ def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surfac
     page = make_bronchoscope_page(case_id, result, surface, stills)
     return _filled(
         "bronchoscope.html.j2",
-        script=_plain(),
+        script=_part("scene", "dist", "report.js") if page.profiles else _plain(),
         style=_style(),
         page=page,
         result_json=embedded(result),
+        scene_json=embedded(page.scene),
         json_id="tubeplan-result",
     )
 
@@ -219,7 +220,13 @@ def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
     page = make_reach_page(document, surface)
     told = {key: document[key] for key in document if key != "branches"}
     return _filled(
-        "bronchoscope.html.j2", script=_plain(), style=_style(), page=page, result_json=embedded(told), json_id="tubeplan-reach"
+        "bronchoscope.html.j2",
+        script=_plain(),
+        style=_style(),
+        page=page,
+        result_json=embedded(told),
+        scene_json=embedded(page.scene),
+        json_id="tubeplan-reach",
     )
 
 
