@@ -63,6 +63,16 @@ def read_mask_file(
 def onto_grid(mask: BoolArray, index_to_lps: FloatArray, volume: Volume, name: str) -> BoolArray:
     """A mask on the CT's whole grid, whatever the order and direction of its axes; it may cover a part of it.
 
+    Parameters
+    ----------
+    mask : (slices, rows, columns) bool array
+    index_to_lps : (4, 4) float array
+        Of the mask's own voxels.
+    volume : Volume
+        The CT.
+    name : str
+        Of the mask's file, for messages.
+
     Raises
     ------
     CaseError

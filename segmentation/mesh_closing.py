@@ -61,7 +61,15 @@ class Closing:
 def close_loops(vertices: FloatArray, faces: IntArray, loops: list[IntArray], name: str) -> Closing:
     """Fill every open loop: ends of the tube as caps, holes in its side as wall.
 
-    `faces` must look outward or inward consistently; fills follow their sense.
+    Parameters
+    ----------
+    vertices : (n, 3) float array, mm
+    faces : (m, 3) int array
+        Looking outward, or inward, consistently; fills follow their sense.
+    loops : list of (k,) int arrays
+        Vertices of each open border in order.
+    name : str
+        Of the file, for messages.
 
     Raises
     ------

@@ -44,6 +44,14 @@ def scan(
     measured projections of the dense parts is, by the Fourier slice theorem, a factor
     e(angle) on the image's spectrum.
 
+    Parameters
+    ----------
+    hu : (slices, rows, columns) float array, HU
+    spacing : (slice, row, column) distances, mm
+    settings : ScannerSettings
+    rng : numpy.random.Generator
+        Of noise and streaks.
+
     References
     ----------
     .. [1] Riederer, S. J., Pelc, N. J., Chesler, D. A. (1978). The noise power spectrum in computed
@@ -56,6 +64,7 @@ def scan(
     fy = fft.fftfreq(rows, spacing[1])[:, None]
     fx = fft.rfftfreq(columns, spacing[2])[None, :]
     frequency = np.hypot(fy, fx)
+    # A ramp, as of backprojection, that leaves a little at the lowest frequencies, and a soft kernel: half at 0.35 cycles/mm.
     shaping = (frequency + 0.03) * np.exp(-((frequency / 0.42) ** 2))
     # Unit deviation: the mean square of the filter over the whole spectrum (rfft holds half of it).
     double = np.full(shaping.shape[1], 2.0)

@@ -140,7 +140,24 @@ def joined(
     watch: Callable[[Node, int], None] | None,
     seconds: float,
 ) -> RobotPlan:
-    """The plan up to one of its steps and then along new ones, which join its tree."""
+    """The plan up to one of its steps and then along new ones, which join its tree.
+
+    Parameters
+    ----------
+    plan : RobotPlan
+    before : int
+        Index of the last step that is kept.
+    steps : list of Step
+        What follows it.
+    error : float, mm
+        Distance of the last one's tip to the goal.
+    guide : Guide
+        The line that says in which stage a step lies.
+    watch : callable or None
+        Told of every new node with its number.
+    seconds : float
+        Time spent on the new steps, added to the plan's.
+    """
     nodes, tallies = list(plan.nodes), [replace(tally) for tally in plan.tallies]
     ends = np.array([stage.end for stage in plan.stages[:-1]])
     parent = next(k for k, node in enumerate(nodes) if node.step is plan.steps[before])

@@ -142,6 +142,16 @@ def lies_inside(
     lies on their inner side, or all on their outer side, that is the answer, unless a cap is near,
     which has no samples. Only the others, most of them close to the wall against the spacing of
     the samples, need the winding number, which costs twenty times as much.
+
+    Parameters
+    ----------
+    centers, radii : (m, 3) and (m,) float arrays, mm
+        Of the spheres through four samples each.
+    sites, normals : (n, 3) float arrays, mm and unit vectors out of the lumen
+        The samples of the wall.
+    simplices : (m, 4) int array
+        The samples of each sphere.
+    wall : WallDistance
     """
     inside, outside = np.ones(len(centers), dtype=bool), np.ones(len(centers), dtype=bool)
     for corner in simplices.T:

@@ -211,6 +211,18 @@ def piece_clearances(
 
     Clearances are exact where they are under `least` plus the spread, and at least that
     elsewhere; bounds are cut off at `least`, since no larger one is of use.
+
+    Parameters
+    ----------
+    control : (m, 4, 3) float array, mm
+        Bezier control points of the pieces.
+    middle : (m, 3) float array, mm
+        The place of each piece at its middle parameter.
+    spread : (m,) float array, mm
+        Radius of a ball around the middle that holds the piece.
+    least : float, mm
+        Clearance that is met already.
+    wall : WallDistance
     """
     triangles = wall.triangles
     reach = least + spread

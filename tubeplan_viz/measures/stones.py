@@ -61,7 +61,17 @@ def stone_place(stone: Stone, lumen: Lumen, urinary: UrinaryMeasures) -> StonePl
 def stone_facts(
     stones: Sequence[Stone | str], lumen: Lumen | None, urinary: UrinaryMeasures | None, *, abnormal: bool | None
 ) -> StoneFacts:
-    """What the scores ask, as far as it is known."""
+    """What the scores ask, as far as it is known.
+
+    Parameters
+    ----------
+    stones : sequence of Stone or str
+        Each as found, or the reason why it was not; one unknown stone leaves all but `abnormal` unknown.
+    lumen, urinary : Lumen and UrinaryMeasures, or None
+        The collecting system, which tells in which calyx a stone lies.
+    abnormal : bool or None
+        Whether the kidney's anatomy is abnormal; None where the case does not say.
+    """
     known = [stone for stone in stones if isinstance(stone, Stone)]
     if not known or len(known) < len(stones):
         return StoneFacts(abnormal=abnormal)

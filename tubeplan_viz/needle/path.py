@@ -90,7 +90,18 @@ def measured(
     swarms: int = 0,
     nodes: int = 0,
 ) -> NeedlePath:
-    """A path with its own measures, its distances bounded over every point of it; a reason instead if it comes too near."""
+    """A path with its own measures, its distances bounded over every point of it; a reason instead if it comes too near.
+
+    Parameters
+    ----------
+    problem : SpatialProblem
+    pose : Pose
+        In which the needle stands at the entry, mm in the case's frame.
+    controls : Controls
+        Turns (rad), pushes (mm) and curvatures (1/mm) of its pieces.
+    rounds, swarms, nodes
+        What the search that found it went through, kept with the path.
+    """
     arcs = push(pose, controls)
     gaps = problem.scene.least_distance(arcs)
     if len(gaps) and gaps.min() < problem.settings.safety:

@@ -74,7 +74,17 @@ def weights(length: float, distance: float) -> tuple[float, float]:
 def swarm_rounds(
     problem: SpatialProblem, settings: SwarmSettings, rng: np.random.Generator, *, restart: int = 0
 ) -> Iterator[SwarmRound]:
-    """The printed swarm, round by round."""
+    """The printed swarm, round by round.
+
+    Parameters
+    ----------
+    problem : SpatialProblem
+        Its bounds are the box that the particles are drawn in.
+    settings : SwarmSettings
+    rng : numpy.random.Generator
+    restart : int
+        Number of the swarm, told with each round.
+    """
     low, high = problem.bounds
     count, n = settings.particles, problem.settings.pieces
     width = high - low

@@ -120,7 +120,13 @@ def follow(
 
 
 def path_plan(case: BronchoscopeCase, given: Airway, goal: Target, way: Way) -> Plan:
-    """The tip's track measured and proved, and how the plan ended."""
+    """The tip's track measured and proved, and how the plan ended.
+
+    Raises
+    ------
+    NoPathError
+        If the tip's track has fewer than four places, through which no cubic goes.
+    """
     wall, limits = given.tree.wall, Limits(curvature_max=case.curvature_max, clearance_min=case.clearance_min)
     plan = way.plan
     if len(tip_track(plan.steps)) < 4:

@@ -19,7 +19,19 @@ from tubeplan_viz.pipeline.tube import surface_details
 
 
 def plan_details(case: BronchoscopeCase, given: Airway, goal: Target, way: Way, off: float) -> dict[str, Any]:
-    """Route, stages, steps and tree for result.json."""
+    """Route, stages, steps and tree for result.json.
+
+    Parameters
+    ----------
+    case : BronchoscopeCase
+    given : Airway
+        The airway as it was read, in its own frame.
+    goal : Target
+    way : Way
+        The plan with its line, guide and route.
+    off : float, mm
+        Greatest distance of the path's spline from any place of the tip's track.
+    """
     plan, branches = way.plan, given.airway.branches
     return {
         "robot": {

@@ -188,7 +188,23 @@ def monte_carlo_details(case: NeedleCase, found: MonteCarlo) -> dict[str, Any]:
 
 
 def content_of(case: NeedleCase, ground: Ground, outcome: Outcome, warnings: list[str]) -> dict[str, Any]:
-    """The planner's part of result.json."""
+    """The planner's part of result.json.
+
+    Parameters
+    ----------
+    case : NeedleCase
+    ground : Ground
+        Obstacles, CT and digests of what was read.
+    outcome : Outcome
+        Path or reason, with what was simulated besides.
+    warnings : list of str
+        Notes of reading and planning, shown with the result.
+
+    Returns
+    -------
+    dict
+        Keys as `assemble_result` takes them; points in mm in the case's frame.
+    """
     scene = ground.scene
     details: dict[str, Any] = {
         "case_id": case_name(case),

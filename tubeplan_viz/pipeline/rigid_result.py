@@ -44,7 +44,26 @@ def rigid_content(
     plan: RigidPlan,
     warnings: list[str],
 ) -> dict[str, Any]:
-    """The planner's part of result.json."""
+    """The planner's part of result.json.
+
+    Parameters
+    ----------
+    case : RigidCase
+    lesion : Lesion
+        As given, or as proposed.
+    scene : NasalScene
+        Before any shrinkage; in LPS.
+    shrunk : mapping of a share of the full shrinkage to Shrinkage
+        What was taken from the mucosa at each of the amounts judged.
+    plan : RigidPlan
+    warnings : list of str
+        Notes of reading and planning, shown with the result.
+
+    Returns
+    -------
+    dict
+        Keys as `assemble_result` takes them; lengths in mm, angles in degrees where the key says so.
+    """
     problem = plan.problem
     instrument, endoscope, shaver = case.instrument
     details: dict[str, Any] = {

@@ -25,6 +25,11 @@ def segment_case(case: InputCase, target: Path, *, force: bool = False, notify: 
     -------
     dict
         What segmentation.json holds: facts, warnings, caps, growth curve, digests of the inputs.
+
+    Raises
+    ------
+    TubeplanError
+        If the case has no CT, it cannot be read, or holds no tube; then no folder is left.
     """
     if case.ct is None:
         raise CaseError("segmenting needs a CT; give --ct")

@@ -193,6 +193,21 @@ def missing_features(
     A point closer to a feature than two centerline steps is not added: it would put a
     kink into the spline where the centerline itself is too near to the wall. Where the path
     leaves the lumen, however briefly, the nearest point is taken in any case.
+
+    Parameters
+    ----------
+    features : tuple of Feature
+    curve : SplineCurve
+    grid : (n,) float array
+        Parameters of the curve at the evenly spaced samples.
+    short : (k,) int array
+        Indices into `grid` of the samples that are short of clearance, rising.
+    values : (k,) float array, mm
+        Clearance of those samples.
+    centerline : Centerline
+    tree : cKDTree
+        Of its points.
+    settings : RefineSettings
     """
     found: list[tuple[Feature, float]] = []
     taken = np.array([f.point for f in features])
@@ -245,6 +260,18 @@ def relax_inside(
     The text relaxes whatever the wall does. In a lumen narrower than its bends that walks
     the path through the wall, and a path outside is no answer: a bend that stays too sharp
     is flagged instead.
+
+    Parameters
+    ----------
+    features : tuple of Feature
+    moving : (k,) int array
+        Indices of the features that carry too sharp a bend, or stand beside one; never the first or last.
+    added : list of Feature
+        To be inserted in the same round.
+    slices : SliceClearance
+    grid : (n,) float array
+        Parameters at which the new curve is looked at.
+    settings : RefineSettings
 
     Returns
     -------
