@@ -19,7 +19,7 @@ AIRWAYS: list[tuple[str, dict[str, Any], int, set[str]]] = [
         "elastix_right_lung",
         {"ct": str(DATA / "elastix_right_lung" / "3DCT_lung.mha")},
         9,
-        {"right upper lobe", "right middle lobe", "right lower lobe", "left main bronchus"},
+        {"right upper lobe", "right middle lobe", "bronchus intermedius", "left main bronchus"},
     ),
     (
         "hubmap_airway_female",
