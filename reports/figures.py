@@ -17,7 +17,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.numbers import printed
-from reports.svg import LEFT, RIGHT, Axis, Width, frame, grid, nice_step, path_axis, step_digits, tag, trace
+from reports.svg import LEFT, RIGHT, Axis, Width, chart, frame, grid, nice_step, path_axis, step_digits, tag, trace
 from segmentation.arrays import FloatArray
 
 
@@ -88,22 +88,7 @@ def profile_chart(spec: Profile, width: Width) -> Markup:
         parts.append(_limit_label(spec, x, y, short=width.name != "wide"))
     parts += [tag("circle", class_=f"worst {spec.kind}", cx=x(f["worst_at_mm"]), cy=y(f["worst"]), r=4.0) for f in spec.flags]
     parts += _worst_label(spec, x, y)
-    parts.append(
-        Markup('<g class="cursor"><line y1="{}" y2="{}"/><circle r="4"/></g>').format(f"{y.end - 6:.0f}", f"{y.start:.0f}")
-    )
-    return frame(
-        width,
-        (wide, tall),
-        spec.label,
-        parts,
-        data_chart=spec.kind,
-        data_left=LEFT,
-        data_right=RIGHT,
-        data_low=low,
-        data_high=high,
-        data_y0=y.start,
-        data_y1=y.end,
-    )
+    return chart(width, (wide, tall), spec.label, parts, kind=spec.kind, y=y, marks=Markup('<circle r="4"/>'))
 
 
 def _before(spec: Profile, x: Axis, y: Axis) -> list[Markup]:
@@ -183,8 +168,22 @@ def _worst_place(spec: Profile, x: Axis, y: Axis) -> tuple[float, float, float, 
         at = x(worst["from_mm"]) - 8
     if turned and at - room < x.start:  # the band is as wide as the chart
         at, turned = x.start + 6, False
-    height = y(worst["worst"]) + (18 if spec.kind == "clearance" else -8)
-    return (at - room if turned else at, at if turned else at + room, min(max(height, y.end + 10), y.start - 4), turned)
+    height = min(max(y(worst["worst"]) + (18 if spec.kind == "clearance" else -8), y.end + 10), y.start - 4)
+    left, right = (at - room, at) if turned else (at, at + room)
+    return left, right, _clear_height(spec, (left, right), height, x, y), turned
+
+
+def _clear_height(spec: Profile, span: tuple[float, float], wanted: float, x: Axis, y: Axis) -> float:
+    """Base line for words over `span`: the one wanted, or where curve and limit leave them readable, the nearest to it."""
+    level = None if spec.limit is None else y(spec.limit)
+    px, py = x.of(spec.arc), y.of(spec.values)
+
+    def covered(base: float) -> float:
+        crossed = level is not None and base - 12 < level < base + 3
+        return _share_inside(px, py, *span, base - 11, base + 2) + (1.0 if crossed else 0.0)
+
+    choices = [wanted, *np.arange(y.end + 12, y.start - 4, 6.0).tolist()]
+    return float(min(choices, key=lambda base: (round(covered(base), 2), abs(base - wanted))))
 
 
 def _worst_label(spec: Profile, x: Axis, y: Axis) -> list[Markup]:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from reports.figures import free_place
 from reports.numbers import printed
-from reports.svg import LEFT, RIGHT, Axis, Width, frame, grid, nice_step, path_axis, tag, trace
+from reports.svg import LEFT, RIGHT, Axis, Width, chart, grid, nice_step, path_axis, tag, trace
 from segmentation.arrays import FloatArray
 
 
@@ -77,21 +77,7 @@ def overlay_chart(spec: Overlay, width: Width, *, room: str) -> Markup:
         for line, (at, height) in zip(spec.lines, letters, strict=True)
     ]
     dots = Markup("").join(tag("circle", class_=f"run-{line.number + 1}", r=4.0, data_run=line.number) for line in spec.lines)
-    parts.append(Markup('<g class="cursor"><line y1="{}" y2="{}"/>{}</g>').format(f"{y.end - 6:.0f}", f"{y.start:.0f}", dots))
-    return frame(
-        width,
-        (wide, tall),
-        spec.words,
-        parts,
-        data_chart=spec.kind,
-        data_axis=spec.axis,
-        data_left=LEFT,
-        data_right=RIGHT,
-        data_low=low,
-        data_high=high,
-        data_y0=y.start,
-        data_y1=y.end,
-    )
+    return chart(width, (wide, tall), spec.words, parts, kind=spec.kind, y=y, marks=dots, data_axis=spec.axis)
 
 
 def _value_range(spec: Overlay) -> tuple[float, float, float]:

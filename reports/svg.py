@@ -100,6 +100,26 @@ def frame(width: Width, size: tuple[float, float], label: str, parts: Sequence[M
     )
 
 
+def chart(
+    width: Width,
+    size: tuple[float, float],
+    label: str,
+    parts: Sequence[Markup],
+    *,
+    kind: str,
+    y: Axis,
+    marks: Markup,
+    **more: object,
+) -> Markup:
+    """A picture with the path along x, which the page's cursor runs through; `marks` are moved along with its line.
+
+    What the cursor needs stands in the picture's data: where x begins and ends, and what heights mean.
+    """
+    cursor = Markup('<g class="cursor"><line y1="{}" y2="{}"/>{}</g>').format(f"{y.end - 6:.0f}", f"{y.start:.0f}", marks)
+    scale = {"data_low": y.low, "data_high": y.high, "data_y0": y.start, "data_y1": y.end}
+    return frame(width, size, label, [*parts, cursor], data_chart=kind, **more, data_left=LEFT, data_right=RIGHT, **scale)
+
+
 def path_axis(length: float, x: Axis, y: float, room: float, *, unit: str = "mm") -> list[Markup]:
     """Ticks and figures under a picture that has the path along x, in mm or in another unit."""
     step = nice_step(length, max(2, int(room / 52)))
