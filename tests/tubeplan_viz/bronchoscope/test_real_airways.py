@@ -41,6 +41,8 @@ def test_every_branch_is_reached_or_proved_too_narrow(
     assert all(row["proved"] for row in document["branches"])
     assert reached <= {row["name"] for row in document["branches"] if row["verdict"] == "reached"}
     for row in document["branches"]:
+        if row["leaf"]:  # tips stand where the branch itself narrows: measured with the trachea, 14 mm were cut off
+            assert row["least_diameter_mm"] < 5.0 or name == "hubmap_airway_female"
         if row["verdict"] == "diameter":
             assert 2.0 * row["clearance_bound_mm"] < document["robot"]["diameter_mm"]
         if row["tip_error_mm"] is not None:
