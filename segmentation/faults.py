@@ -1,4 +1,4 @@
-"""A fault of the program in one sentence, for a terminal or a row of a table."""
+"""Faults in one sentence of bearable length, for a terminal or a row of a table."""
 
 from __future__ import annotations
 
@@ -20,6 +20,18 @@ def fault_words(fault: BaseException) -> str:
     if ours and ours[-1] is not way[-1]:
         places.append(f"called by {place(*ours[-1])}")
     return f"a fault of the program, please report it: {type(fault).__name__}: {fault} (in {', '.join(places)})"
+
+
+def shortened(text: str, longest: int = 200) -> str:
+    """A text with its middle left out where it is too long: what it is about and what to do stand at its ends.
+
+    Examples
+    --------
+    >>> shortened("found 0123456789, expected less", 23)
+    'found 012 ... cted less'
+    """
+    half = (longest - 5) // 2
+    return text if len(text) <= longest else f"{text[:half]} ... {text[-half:]}"
 
 
 def place(frame: FrameType, line: int) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from segmentation.faults import shortened
+
 QUOTED = re.compile(r"""(?<=['"])(?:~|[A-Za-z]:)?/(?:[^'"/]+/)+""")  # may hold spaces
 ABSOLUTE = re.compile(r"(?<![\w.~/])(?:~|[A-Za-z]:)?/(?:[^\s/'\",:;()]+/)+")
 NUMBER = re.compile(r"[-+−]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -18,8 +20,7 @@ def without_paths(text: str) -> str:
     >>> without_paths("/data/x/ct.nii: 3 of 0.5 1/mm and/or less, see '/ward 3/b.nii'")
     "ct.nii: 3 of 0.5 1/mm and/or less, see 'b.nii'"
     """
-    short = ABSOLUTE.sub("", QUOTED.sub("", text))
-    return short if len(short) <= LONGEST else f"{short[: LONGEST - 4]} ..."
+    return shortened(ABSOLUTE.sub("", QUOTED.sub("", text)), LONGEST)
 
 
 def kind_of_reason(text: str) -> str:

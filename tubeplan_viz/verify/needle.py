@@ -18,6 +18,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.errors import TubeplanError
+from segmentation.faults import shortened
 from tubeplan_viz.verify.files import CSV_HEADER, check_markups
 from tubeplan_viz.verify.needle_bodies import TISSUE_HU, Distance, at_skin, distance_to, located, place
 from tubeplan_viz.verify.needle_motion import STEP_MM, integrated
@@ -52,7 +53,7 @@ def check_needle(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
         yield Check(
             name="obstacles",
             ok=False,
-            found=str(fault)[:120],
+            found=shortened(str(fault)),
             expected="files that can be read",
             text="An obstacle cannot be built again from its file.",
         )
@@ -170,7 +171,7 @@ def check_entry(folder: Path, case: Mapping[str, Any], own: Mapping[str, Any], r
         try:
             ok, found = at_skin(located(image["ct"], folder), image.get("series"), start, way)
         except (TubeplanError, OSError) as fault:
-            ok, found = False, str(fault)[:120]
+            ok, found = False, shortened(str(fault))
         yield Check(
             name="entry: on the skin",
             ok=ok,

@@ -19,6 +19,7 @@ import numpy as np
 from segmentation.anatomy.nasal import NasalScene, propose_scene, shrink
 from segmentation.arrays import BoolArray, FloatArray
 from segmentation.errors import TubeplanError
+from segmentation.faults import shortened
 from segmentation.images import read_ct
 from segmentation.label_file import read_mask
 from tubeplan_viz.verify.needle import check_files
@@ -48,7 +49,7 @@ def check_rigid(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
     try:
         scene = own_scene(folder, case)
     except (TubeplanError, OSError) as fault:
-        told = str(fault)[:120]
+        told = shortened(str(fault))
         yield Check(
             name="labels", ok=False, found=told, expected="a CT that can be read", text="The labels cannot be made again."
         )
