@@ -10,7 +10,7 @@ import numpy as np
 
 from reports.derived import derived_values
 from reports.folds import Fold, folds
-from reports.numbers import Phrase, Source, phrase, sentence
+from reports.numbers import Figure, Phrase, Source, phrase, sentence
 from reports.parts import Drawing, Key, PlanPage
 from reports.rigid_drawings import LABEL_COLORS, corridor_view, entry_map, goals_chart, label_picture, profile_drawing
 from reports.tables import or_dash
@@ -119,7 +119,13 @@ def _keys(source: Source) -> tuple[Key, ...]:
             Key(
                 "Least distance",
                 phrase(source.need("metrics.clearance_min_mm", 2, "mm")),
-                phrase("instrument's surface to a named structure, ", source.need("limits.clearance_min_mm", 1, "mm"), " asked"),
+                phrase(
+                    "instrument's surface to the ",
+                    *_nearest(source),
+                    ", ",
+                    source.need("limits.clearance_min_mm", 1, "mm"),
+                    " asked",
+                ),
             )
         )
     made.append(
@@ -130,6 +136,16 @@ def _keys(source: Source) -> tuple[Key, ...]:
         )
     )
     return tuple(made)
+
+
+def _nearest(source: Source) -> tuple[str | Figure, ...]:
+    """The structure that the instrument comes nearest to and where its tip is then, as words."""
+    told = source.result["details"].get("structure_distances_mm") or {}
+    least = [(float(value), name, k) for name, values in told.items() for k, value in enumerate(values) if value is not None]
+    if not least:
+        return ("nearest structure",)
+    _, name, k = min(least)
+    return (name.replace("_", " "), " with the tip at ", source.need(f"path.s_mm.{k}", 1, "mm"))
 
 
 def _legend(names: list[str]) -> tuple[tuple[str, str], ...]:

@@ -33,6 +33,7 @@ PLANES = {
     "sagittal": (np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])),
 }
 BEST_CLASSES = {"overall": "rigid-overall", "brain": "rigid-brain", "length": "rigid-length", "tissue": "rigid-tissue"}
+LABEL_ROOM = 60.0  # drawing units that a word takes beside its place
 SHOWN_BEHIND_MM = 45.0
 
 
@@ -161,7 +162,8 @@ def corridor_view(result: Mapping[str, Any], axes: tuple[int, int], signs: tuple
     parts.append(tag("path", class_="rigid-way", d=_way((flat(result["path"]["points_mm"][::5]) - low) * scale)))
     x, y = (flat(goal)[0] - low) * scale
     parts.append(tag("circle", class_="rigid-goal", cx=float(x), cy=float(y), r=4.0))
-    parts.append(tag("text", "lesion", class_="axis", x=float(x) + 7, y=float(y) - 6))
+    beside, anchor = (-7.0, "end") if x > size[0] - LABEL_ROOM else (7.0, "start")
+    parts.append(tag("text", "lesion", class_="axis", x=float(x) + beside, y=float(y) - 6, text_anchor=anchor))
     bar = 10.0 * scale
     parts.append(tag("path", class_="rigid-bar", d=f"M8 {size[1] - 8:.1f}h{bar:.1f}"))
     parts.append(tag("text", "10 mm", class_="axis", x=bar + 14, y=float(size[1]) - 4))
