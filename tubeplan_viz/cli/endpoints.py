@@ -15,6 +15,7 @@ from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import LUMEN, Json, Quiet, some_case_options
 from tubeplan_viz.cli.show import progress
 from tubeplan_viz.pipeline import Stopwatch, case_end_names, endpoint_details, grow_tree, load_lumen
+from tubeplan_viz.result import is_run, read_result
 
 
 @some_case_options(*LUMEN, "closed_ends", "centerline_step")
@@ -67,9 +68,8 @@ def endpoints(
 
 def run_anatomy(source: Path) -> dict[str, str]:
     """What the lumen of a run folder is, as an input's table; empty for a mesh file or where it is not known."""
-    try:
-        result = json_text.loads((source / "result.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    if not is_run(source):
         return {}
-    anatomy = result["provenance"]["settings"].get("input", {}).get("anatomy")
+    settings = read_result(source)["provenance"]["settings"] or {}
+    anatomy = settings.get("input", {}).get("anatomy")
     return {"anatomy": anatomy} if isinstance(anatomy, str) else {}

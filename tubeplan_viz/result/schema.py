@@ -12,9 +12,11 @@ from typing import Any
 from jsonschema import Draft202012Validator
 
 from segmentation.errors import TubeplanError
+from segmentation.faults import shortened
 from tubeplan_viz.result.errors import ResultError
 
 PATH_SPACING_MAX_MM = 0.25  # promised to readers of result.json; a JSON Schema cannot say it
+FARTHEST_MM = 2e6  # meshes and places are taken up to 1e6 mm from the origin
 SPACING_ROUNDING_MM = 1e-9  # s_mm are differences of numbers near 1e3 mm
 
 
@@ -40,8 +42,7 @@ def check_schema(
     if first is None:
         return
     place = ".".join(str(key) for key in first.absolute_path) or "the top level"
-    message = first.message if len(first.message) < 200 else f"{first.message[:90]} ... {first.message[-90:]}"
-    raise error(f"{name}.json: at {place}: {message}; expected as in {name}.schema.json, {remedy}")
+    raise error(f"{name}.json: at {place}: {shortened(first.message)}; expected as in {name}.schema.json, {remedy}")
 
 
 def result_schema() -> dict[str, Any]:
@@ -82,6 +83,14 @@ def _check_path(result: Mapping[str, Any]) -> None:
         raise ResultError(
             f"result.json: path.s_mm starts at {s[0]:g} with steps of {min(steps):.4g} to {max(steps):.4g} mm, "
             f"expected to start at 0 and rise by at most {PATH_SPACING_MAX_MM} mm; plan the case again"
+        )
+    farthest = max(
+        abs(x) for points in (path["points_mm"], (result["centerline"] or path)["points_mm"]) for p in points for x in p
+    )
+    if farthest > FARTHEST_MM:
+        raise ResultError(
+            f"result.json: path or centerline reach {farthest:g} mm from the origin, expected at most {FARTHEST_MM:g} mm; "
+            "plan the case again"
         )
     for index, flag in enumerate(result["flagged_intervals"]):
         ordered = -1e-6 <= flag["from_mm"] <= flag["worst_at_mm"] <= flag["to_mm"] <= s[-1] + 1e-6

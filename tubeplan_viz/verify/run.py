@@ -11,6 +11,7 @@ from typing import Any, NoReturn, TypeVar
 import numpy as np
 
 from segmentation.arrays import FloatArray
+from segmentation.faults import shortened
 from tubeplan_viz.result import ResultError, RunFolderError, validate_result
 from tubeplan_viz.verify.bronchoscope import check_bronchoscope
 from tubeplan_viz.verify.claims import (
@@ -63,7 +64,21 @@ def verify_run(folder: Path) -> Verification:
         If the folder has no result.json that tubeplan wrote.
     """
     result = _read_result(folder)
-    return Verification(run=folder.resolve().name, checks=tuple(_checks(folder, result)))
+    return Verification(run=folder.resolve().name, checks=tuple(_whole(_checks(folder, result))))
+
+
+def _whole(checks: Iterator[Check]) -> Iterator[Check]:
+    """The checks; where a value is of another kind than its check needs, which the schema leaves open, one that does not hold."""
+    try:
+        yield from checks
+    except (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, OSError) as fault:
+        yield Check(
+            name="values",
+            ok=False,
+            found=f"{type(fault).__name__}: {str(fault)[:120]}",
+            expected="values of their kind in every file of the run",
+            text="A value of the run is of another kind than what it stands for, so that what follows could not be checked.",
+        )
 
 
 def _read_result(folder: Path) -> dict[str, Any]:
@@ -239,6 +254,6 @@ def _opened(name: str, folder: Path, parse: Callable[[str], Content]) -> Generat
     except OSError as fault:
         found = (fault.strerror or "not readable").lower()
     except ValueError as fault:  # not UTF-8, not TOML, not JSON
-        found = f"not as expected ({str(fault)[:120]})"
+        found = f"not as expected ({shortened(str(fault))})"
     yield Check(name=name, ok=False, found=found, expected="a whole file", text=f"{name} of the run cannot be read.")
     return None

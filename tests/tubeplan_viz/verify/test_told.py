@@ -151,3 +151,23 @@ def test_an_obstacle_that_moves_onto_a_needle_that_then_stops_is_no_touch_of_wha
     assert result["status"] == "infeasible"
     assert "withdraw the needle" in result["reason"]
     assert verify_run(tmp_path / "run").holds
+
+
+@pytest.mark.parametrize(
+    ("way", "value"),
+    [
+        ("details.controls.0.duty", []),
+        ("details.entry_frame", "x"),
+        ("details.obstacles.0.center_mm.2", {}),
+        ("details.forms.0.degree", None),
+        ("path.points_mm.3.1", 1e308),
+    ],
+)
+def test_a_value_of_another_kind_is_refused(needle: Path, tmp_path: Path, way: str, value: Any) -> None:
+    assert altered(Path(shutil.copytree(needle, tmp_path / "run")), way, lambda _: value)
+
+
+def test_a_page_that_is_no_text_is_refused(needle: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(needle, tmp_path / "run"))
+    (run / "report.html").write_bytes(b"\xff\xfe\x83")
+    assert {"files: digests", "values"} <= {check.name for check in verify_run(run).faults}
