@@ -157,33 +157,34 @@ def _share_inside(px: FloatArray, py: FloatArray, left: float, right: float, top
 
 
 def _worst_place(spec: Profile, x: Axis, y: Axis) -> tuple[float, float, float, bool] | None:
-    """Left and right end of the worst place's figure, its height, and whether it stands left of its band."""
+    """Left and right end of the worst place's figure, its base line, and whether it stands left of its band.
+
+    Beside its own band, or else over the place itself: wherever curve, limit and the bands of others leave it readable.
+    """
     if not spec.flags:
         return None
     worst = (min if spec.kind == "clearance" else max)(spec.flags, key=lambda f: f["worst"])
     room = 7.0 * len(spec.worst_label) + 10
-    at = x(worst["to_mm"]) + 8
-    turned = at + room > x.end
-    if turned:
-        at = x(worst["from_mm"]) - 8
-    if turned and at - room < x.start:  # the band is as wide as the chart
-        at, turned = x.start + 6, False
-    height = min(max(y(worst["worst"]) + (18 if spec.kind == "clearance" else -8), y.end + 10), y.start - 4)
-    left, right = (at - room, at) if turned else (at, at + room)
-    return left, right, _clear_height(spec, (left, right), height, x, y), turned
-
-
-def _clear_height(spec: Profile, span: tuple[float, float], wanted: float, x: Axis, y: Axis) -> float:
-    """Base line for words over `span`: the one wanted, or where curve and limit leave them readable, the nearest to it."""
+    low, high = x(worst["from_mm"]), x(worst["to_mm"])
+    others = [(x(flag["from_mm"]), x(flag["to_mm"])) for flag in spec.flags if flag is not worst]
     level = None if spec.limit is None else y(spec.limit)
+    beside = min(max(y(worst["worst"]) + (18 if spec.kind == "clearance" else -8), y.end + 10), y.start - 4)
+    at = x(worst["worst_at_mm"])
+    over = min(max(at - room / 2, x.start + 4), x.end - room)
+    spans = [(high + 8, high + 8 + room, False), (low - 8 - room, low - 8, True), (over, over + room, False)]
     px, py = x.of(spec.arc), y.of(spec.values)
-
-    def covered(base: float) -> float:
-        crossed = level is not None and base - 12 < level < base + 3
-        return _share_inside(px, py, *span, base - 11, base + 2) + (1.0 if crossed else 0.0)
-
-    choices = [wanted, *np.arange(y.end + 12, y.start - 4, 6.0).tolist()]
-    return float(min(choices, key=lambda base: (round(covered(base), 2), abs(base - wanted))))
+    best: tuple[float, float, tuple[float, float, float, bool]] | None = None
+    for rank, (left, right, turned) in enumerate(spans):
+        if left < x.start or right > x.end:
+            continue
+        crowded = any(left < end and right > begin for begin, end in others)
+        for base in (beside, *np.arange(y.end + 12, y.start - 4, 6.0).tolist()):
+            crossed = level is not None and base - 12 < level < base + 3
+            score = _share_inside(px, py, left, right, base - 11, base + 2) + crossed + crowded
+            away = rank + 0.01 * (abs(base - beside) + max(left - at, at - right, 0.0))
+            order = (round(score, 2), away, (left, right, base, turned))
+            best = order if best is None or order < best else best
+    return None if best is None else best[2]
 
 
 def _worst_label(spec: Profile, x: Axis, y: Axis) -> list[Markup]:

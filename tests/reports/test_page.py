@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 
 from reports import ReportError, render, render_report, write_page
+from reports.figures import Profile, _worst_place
+from reports.svg import Axis
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'&"
 
@@ -107,6 +109,27 @@ def test_no_path_is_stated_by_what_is_proved_and_says_how_far_the_best_one_holds
     details["bottleneck"]["end"] = "goal"
     said = text_of(render_report(review)).replace("\u00a0", " ")
     assert f"No path: the goal itself lies too near the wall by {asked - bound:.2f} mm" in said
+
+
+def test_the_worst_figure_stands_near_its_place_clear_of_limit_curve_and_other_bands() -> None:
+    arc = np.linspace(0.0, 180.0, 721)
+    values = np.interp(arc, [0.0, 150.0, 158.0, 165.0, 176.0, 180.0], [8.0, 3.5, 1.3, 2.0, 0.3, 0.8])
+    flags = [
+        {"kind": "clearance", "from_mm": 157.0, "to_mm": 160.0, "worst": 1.3, "worst_at_mm": 158.0},
+        {"kind": "clearance", "from_mm": 168.0, "to_mm": 180.0, "worst": 0.3, "worst_at_mm": 176.0},
+    ]
+    spec = Profile(
+        kind="clearance", arc=arc, values=values, limit=1.5, flags=flags,
+        label="Clearance", limit_label="least 1.50 mm", worst_label="0.30 mm",
+    )  # fmt: skip
+    x, y = Axis(0.0, 180.0, 40.0, 740.0), Axis(0.0, 15.0, 120.0, 12.0)
+    place = _worst_place(spec, x, y)
+    assert place is not None
+    left, right, base, _ = place
+    assert x(160.0) < left < right <= x.end  # past the other band
+    assert base < y(1.5) - 2.0 or base - 11.0 > y(1.5)  # the limit runs above or below the words
+    beneath = (x.of(arc) >= left) & (x.of(arc) <= right)
+    assert not np.any((y.of(values[beneath]) > base - 11.0) & (y.of(values[beneath]) < base))
 
 
 def test_hostile_words_are_text_everywhere(make_review: Any) -> None:
