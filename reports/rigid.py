@@ -141,11 +141,12 @@ def _keys(source: Source) -> tuple[Key, ...]:
 def _nearest(source: Source) -> tuple[str | Figure, ...]:
     """The structure that the instrument comes nearest to and where its tip is then, as words."""
     told = source.result["details"].get("structure_distances_mm") or {}
-    least = [(float(value), name, k) for name, values in told.items() for k, value in enumerate(values) if value is not None]
-    if not least:
+    clearance = source.result["path"]["clearance_mm"]
+    k = int(np.argmin(clearance)) if clearance else 0
+    least = [(float(values[k]), name) for name, values in told.items() if values[k] is not None]
+    if not least or not clearance:
         return ("nearest structure",)
-    _, name, k = min(least)
-    return (name.replace("_", " "), " with the tip at ", source.need(f"path.s_mm.{k}", 1, "mm"))
+    return (min(least)[1].replace("_", " "), " with the tip at ", source.need(f"path.s_mm.{k}", 1, "mm"))
 
 
 def _legend(names: list[str]) -> tuple[tuple[str, str], ...]:
