@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,7 @@ class Export:
             self.folder.write_json("path.mrk.json", slicer_markups(result))
         if result["flagged_intervals"]:
             self.folder.write_json("flags.mrk.json", flag_markups(result))
-        with Lacking(self.notes):
+        with noting_lacks(self.notes):
             grown = self.source.grown
             path = self.folder.path("lumen.seg.nrrd")
             write_slicer_segmentation(grown.mask, grown.volume, path, name=f"lumen, {self.source.anatomy}")
@@ -64,7 +65,7 @@ class Export:
     def stl(self) -> None:
         """The surface as STL, and encapsulated in DICOM where it came from a DICOM CT."""
         self.folder.write_bytes("lumen.stl", stl_bytes(self.source.surface))
-        with Lacking(self.notes):
+        with noting_lacks(self.notes):
             dicom, _ = self.source.dicom, self.source.grown  # the CT must be the run's own
             path = self.folder.path("lumen-stl.dcm")
             write_encapsulated_stl(self.source.surface, dicom, path, series=self.source.input.series, words=self.words)
@@ -92,21 +93,14 @@ class Export:
         write_single_file(recording, self.folder.path("viewer.html"), title=self.source.case_id)
 
 
-class Lacking:
-    """Context in which a part that this kind of run does not have becomes a note."""
-
-    def __init__(self, notes: list[str]) -> None:
-        self.notes = notes
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, trace: Any) -> bool:
-        if isinstance(fault, LackingError):
-            if str(fault) not in self.notes:
-                self.notes.append(str(fault))
-            return True
-        return False
+@contextmanager
+def noting_lacks(notes: list[str]) -> Iterator[None]:
+    """A part that this kind of run does not have becomes a note, each once."""
+    try:
+        yield
+    except LackingError as fault:
+        if str(fault) not in notes:
+            notes.append(str(fault))
 
 
 FORMATS: dict[str, Callable[[Export], None]] = {
@@ -167,7 +161,7 @@ def export_run(
             folder.check_interrupted()
             notify(name, 0, 0)
             if everything:
-                with Lacking(export.notes):
+                with noting_lacks(export.notes):
                     FORMATS[name](export)
             else:
                 FORMATS[name](export)
