@@ -129,8 +129,7 @@ def _keys(source: Source) -> tuple[Key, ...]:
             phrase(source.need("metrics.length_mm", 1, "mm")),
             phrase("way of the tip from the entrance"),
         ),
-        *(key for key in place_keys(source) if key.term != "Sharpest bend"),
-        _bend_key(source),
+        *_place_keys(source),
     ]
     contacts = source.result["details"]["contacts"]
     steps = phrase(f"{len(source.result['details']['steps']) - 1} commands for both sections and the push")
@@ -145,8 +144,16 @@ def _keys(source: Source) -> tuple[Key, ...]:
     return tuple(made)
 
 
+def _place_keys(source: Source) -> tuple[Key, ...]:
+    """The tightest place and the sharpest bend; in the simulator the tip may turn on the spot, so that only sections are limited."""
+    keys = place_keys(source)
+    if source.result["planner"]["method"] != "dynamic":
+        return keys
+    return (*(key for key in keys if key.term != "Sharpest bend"), _bend_key(source))
+
+
 def _bend_key(source: Source) -> Key:
-    """The largest bend of a section: what limits the robot. Its tip may turn on the spot, so that its track says less."""
+    """The largest bend of a section."""
     angles = [
         (abs(float(step["command"][name])), f"details.steps.{k}.command.{name}", k)
         for k, step in enumerate(source.result["details"]["steps"])
