@@ -145,7 +145,7 @@ def _keys(source: Source) -> tuple[Key, ...]:
 
 
 def _place_keys(source: Source) -> tuple[Key, ...]:
-    """The tightest place and the sharpest bend; in the simulator the tip may turn on the spot, so that only sections are limited."""
+    """The tightest place and the sharpest bend; in the simulator only the sections are limited: the tip may turn on the spot."""
     keys = place_keys(source)
     if source.result["planner"]["method"] != "dynamic":
         return keys
