@@ -149,13 +149,13 @@ def test_a_label_volume_is_kept_away_from(tmp_path: Path) -> None:
     sitk.WriteImage(image, str(tmp_path / "plate.nii.gz"))
     table = {
         "planner": {"name": "needle3d"},
-        "needle3d": {"target": [0.0, 0.0, 100.0], "safety_mm": 1.0, "restarts": 1},
+        "needle3d": {"target": [0.0, 0.0, 100.0], "safety_mm": 1.0, "restarts": 1, "pieces": 3},
         "obstacles": [{"kind": "mask", "file": "plate.nii.gz"}],
     }
     assert run(tmp_path, table, "run", "--no-recording", "--no-report") == 0
     assert [check.name for check in verify_run(tmp_path / "run").faults] == []
     bound = result_of(tmp_path / "run")["details"]["obstacles"][0]["distance_bound_mm"]
-    assert bound == pytest.approx(np.sqrt(12.0), abs=1e-9)
+    assert bound == pytest.approx(0.25 * 2.0 * np.sqrt(3.0), abs=1e-9)  # a quarter of a voxel's diagonal
 
 
 @pytest.mark.parametrize(
