@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -18,7 +17,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from tubeplan_viz.cli.options import Outputs
 from tubeplan_viz.pipeline import Notify, silent
 from tubeplan_viz.planners import run_case
-from tubeplan_viz.result import kept_until
+from tubeplan_viz.result import kept_until, place_words, worst_at
 
 EXIT_STATUS = {"ok": 0, "flagged": 3, "infeasible": 4}
 
@@ -102,48 +101,39 @@ def outcome_lines(result: Mapping[str, Any]) -> list[str]:
         unit = "mm" if flag["kind"] == "clearance" else "1/mm"
         lines.append(
             f"  {flag['kind']} from {flag['from_mm']:.1f} to {flag['to_mm']:.1f} mm, "
-            f"worst {flag['worst']:.4g} {unit} at {place_words(details, flag['worst_at_mm'])}"
+            f"worst {flag['worst']:.4g} {unit} at {place_words(result, flag['worst_at_mm'])}"
         )
     reached = kept_until(result) if result["status"] == "infeasible" else None
     if reached is not None:
-        x, y, z = reached[1]
-        lines.append(f"both limits are kept up to {place_words(details, reached[0])}: a goal at {x:.2f},{y:.2f},{z:.2f} is reached")
+        goal = ",".join(f"{value:.2f}" for value in reached[1])
+        lines.append(f"both limits are kept up to {place_words(result, reached[0])}: a goal at {goal} is reached")
     return lines + relief_lines(details) + [f"note: {text}" for text in details.get("warnings") or ()]
 
 
 def figure_lines(result: Mapping[str, Any]) -> list[str]:
     """Length, least clearance, largest curvature and error of the tip, those that the planner has."""
     metrics, limits, details = result["metrics"], result["limits"], result["details"]
-    path = result["path"] or {}
     lines = []
     if metrics["length_mm"] is not None:
         parts = [str(part["name"]) for part in details.get("parts") or ()]
         through = f", through {', '.join(parts)}" if parts else ""
         lines.append(f"path {metrics['length_mm']:.1f} mm{through}")
-    for name, key, column, pick, form, asked in (
-        ("least clearance", "clearance_min_mm", "clearance_mm", np.argmin, "{:.2f} mm", "{:g} mm asked for"),
-        ("largest curvature", "curvature_max_per_mm", "curvature_per_mm", np.argmax, "{:.4f} 1/mm", "{:g} 1/mm allowed"),
+    for name, kind, key, form, asked in (
+        ("least clearance", "clearance", "clearance_min_mm", "{:.2f} mm", "{:g} mm asked for"),
+        ("largest curvature", "curvature", "curvature_max_per_mm", "{:.4f} 1/mm", "{:g} 1/mm allowed"),
     ):
         if metrics[key] is None:
             continue
         told = [f"{name} {form.format(metrics[key])}"]
-        mine = [flag for flag in result["flagged_intervals"] if column.startswith(flag["kind"])]
-        if mine:  # between the samples it may be worse than at any of them
-            told.append(f" at {place_words(details, mine[int(pick([flag['worst'] for flag in mine]))]['worst_at_mm'])}")
-        elif path.get(column):
-            told.append(f" at {place_words(details, path['s_mm'][int(pick(path[column]))])}")
+        at = worst_at(result, kind)
+        if at is not None:
+            told.append(f" at {place_words(result, at)}")
         if limits[key] is not None:
             told.append(f"; {asked.format(limits[key])}")
         lines.append("".join(told))
     if metrics["tip_error_mm"] is not None:
         lines.append(f"tip error {metrics['tip_error_mm']:.2g} mm")
     return lines
-
-
-def place_words(details: Mapping[str, Any], at: float) -> str:
-    """A place on the path, with the part of the anatomy where it is known."""
-    parts = details.get("parts") or ()
-    return ", ".join([f"{at:.1f} mm", *[str(part["name"]) for part in parts if part["from_mm"] <= at <= part["to_mm"]][:1]])
 
 
 def relief_lines(details: Mapping[str, Any]) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from tubeplan_viz.plan import FlaggedInterval, FlagKind, Limits, PlanStatus
 from tubeplan_viz.recording import entities as at
+from tubeplan_viz.result import place_words, worst_at
 
 VERDICTS = {
     PlanStatus.OK: "Every limit holds along the whole path",
@@ -49,6 +50,7 @@ def case_text(case_id: str, result: Mapping[str, Any], flagged: Sequence[Flagged
             metrics.get("curvature_max_per_mm"),
             limits.curvature_max,
             proof.get("curvature_upper_bound_per_mm"),
+            where=_where(result, "curvature"),
         ),
         _row(
             "least clearance",
@@ -56,6 +58,7 @@ def case_text(case_id: str, result: Mapping[str, Any], flagged: Sequence[Flagged
             metrics.get("clearance_min_mm"),
             limits.clearance_min,
             proof.get("clearance_lower_bound_mm"),
+            where=_where(result, "clearance"),
         ),
         _row("mean curvature", "{:.4f} 1/mm", metrics.get("curvature_mean_per_mm")),
         _row("mean clearance", "{:.2f} mm", metrics.get("clearance_mean_mm")),
@@ -111,11 +114,20 @@ def flag_table(flagged: Sequence[FlaggedInterval]) -> str:
     return "| flagged | from mm | to mm | worst | at mm |\n|--|--|--|--|--|\n" + "\n".join(rows)
 
 
-def _row(name: str, form: str, found: float | None, limit: float | None = None, bound: float | None = None) -> str:
+def _where(result: Mapping[str, Any], kind: str) -> str:
+    """Where the case is worst, for its table."""
+    at = worst_at(result, kind)
+    return "" if at is None else f", at {place_words(result, at)}"
+
+
+def _row(
+    name: str, form: str, found: float | None, limit: float | None = None, bound: float | None = None, *, where: str = ""
+) -> str:
     """One line of the case table, empty without a value."""
     if found is None:
         return ""
     cells = [form.format(value) if value is not None else "" for value in (found, limit, bound)]
+    cells[0] += where
     return f"| {name} | " + " | ".join(cells) + " |"
 
 

@@ -5,7 +5,7 @@ from tubeplan_viz.result.document import Provenance, assemble_result, build_resu
 from tubeplan_viz.result.errors import ResultError, RunFolderError
 from tubeplan_viz.result.exports import CSV_COLUMNS, flag_markups, path_csv, slicer_markups
 from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, not_a_run, read_result
-from tubeplan_viz.result.reached import kept_until
+from tubeplan_viz.result.places import kept_until, place_words, worst_at
 from tubeplan_viz.result.review import Review
 from tubeplan_viz.result.schema import check_schema, result_schema, shipped_schema, validate_result
 
@@ -31,6 +31,7 @@ __all__ = [
     "kept_until",
     "not_a_run",
     "path_csv",
+    "place_words",
     "plain",
     "read_result",
     "read_runs",
@@ -39,4 +40,5 @@ __all__ = [
     "shipped_schema",
     "slicer_markups",
     "validate_result",
+    "worst_at",
 ]
