@@ -61,19 +61,22 @@ def way_rows(anatomy: Anatomy, label: str) -> list[Row]:
     limit = anatomy.limits.curvature_max
     way = widest_way(tree.wall, anatomy.start, goal, known=max(ours.clearance, 0.0))
     long = anatomy.name.startswith("HuBMAP ureter")
-    bend = bend_bound(
-        tree.wall,
-        problems[0].centerline,
-        curvature=limit,
-        ceiling=way.bound,
-        limit=anatomy.limits.clearance_min,
-        known=max(ours.clearance, 0.0) if ours.curvature <= limit else 0.0,
-    )
-    most = way.bound if bend is None else bend.bound
-    which = "a bend" if bend is not None else f"the {way.end}" if way.end else "bottleneck"
     share, seconds = (NECK_SHARE, LONG_SECONDS) if long else (RENAL_SHARE, SECONDS)
     kept = ours.curvature <= limit
-    met = kept and ours.clearance >= share * most - TOLERANCE
+    most, which = way.bound, f"the {way.end}" if way.end else "bottleneck"
+    if not kept or ours.clearance < share * most - TOLERANCE:
+        bend = bend_bound(
+            tree.wall,
+            problems[0].centerline,
+            curvature=limit,
+            ceiling=way.bound,
+            limit=max(ours.clearance, 0.0) / share if kept else 0.0,
+            known=max(ours.clearance, 0.0) if kept else 0.0,
+        )
+        if bend is not None:
+            most, which = bend.bound, "a bend" if bend.bound > 0.0 else "bends that no path passes"
+    # Where it is proved that there is no path, none is what is to be found.
+    met = ours.clearance >= share * most - TOLERANCE if kept else most == 0.0
     wide = way.bound >= NECK
     case = f"{anatomy.name}, {label}"
     return [

@@ -25,6 +25,7 @@ import numpy as np
 from segmentation.arrays import FloatArray, IntArray, frozen_array
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import WallDistance
+from tubeplan_viz.tube.bend_row import row_bound
 from tubeplan_viz.tube.cells import CORNERS, Cells, ball_bound, first_cells, measured
 from tubeplan_viz.tube.gates import Gate, Passing, meets, passing
 
@@ -65,17 +66,17 @@ class BendBound:
     ----------
     bound : float, mm
         No path from start to goal under the curvature limit keeps this clearance. Proved.
-    sections : three of Section
-        Whose points of that clearance lie on no three on a curve within the limit; the middle one is the place of the bend.
+    sections : tuple of three or more Section
+        That a path meets in order. No points of that clearance, one of each, lie on a curve within the limit.
     """
 
     bound: float
-    sections: tuple[Section, Section, Section]
+    sections: tuple[Section, ...]
 
     @property
     def place(self) -> FloatArray:
         """Middle of the bend on the centerline, (3,) mm."""
-        return self.sections[1].point
+        return self.sections[len(self.sections) // 2].point
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,14 @@ class Window:
 
 
 def bend_bound(
-    wall: WallDistance, centerline: Centerline, *, curvature: float, ceiling: float, limit: float, known: float = 0.0
+    wall: WallDistance,
+    centerline: Centerline,
+    *,
+    curvature: float,
+    ceiling: float,
+    limit: float,
+    known: float = 0.0,
+    several: bool = True,
 ) -> BendBound | None:
     """Bound the clearance of all paths that keep a curvature limit from above by the bends on the way.
 
@@ -106,14 +114,32 @@ def bend_bound(
         Clearance asked for: it is tried itself, between others.
     known : float, mm
         Clearance that some path is known to keep; nothing is tried below it.
+    several : bool
+        Whether bends in a row are looked at too, where each alone leaves more than the limit; this takes some seconds.
 
     Returns
     -------
     BendBound or None
-        None where no bend is proved to leave less than the ceiling.
+        None where no bend is proved to leave less than the ceiling. A bound of 0 says that there is no path inside the lumen.
     """
     way = resampled(centerline, STEP / curvature)
-    low, high = max(known, 0.0), ceiling
+    low = max(known, 0.0)
+    best = one_bend(wall, way, curvature=curvature, low=low, ceiling=ceiling, limit=limit)
+    least = ceiling if best is None else best.bound
+    if not several or least <= limit:
+        return best
+    row = row_bound(wall, way, curvature=curvature, ceiling=least, limit=limit, known=low)
+    if row is None:
+        return best
+    sections = tuple(Section(point=one.origin, normal=one.normal, radius=one.radius) for one in row[1])
+    return BendBound(bound=row[0], sections=sections)
+
+
+def one_bend(
+    wall: WallDistance, way: Centerline, *, curvature: float, low: float, ceiling: float, limit: float
+) -> BendBound | None:
+    """The bound by three cross-sections of one bend, between `low` and `ceiling` mm."""
+    high = ceiling
     if not promising_windows(way, curvature, ceiling):
         return None
     # Cubes that can keep the least that is tried serve all that is tried.

@@ -74,12 +74,12 @@ class Cells:
         return int(np.argmax(held)) if held.any() else -1
 
 
-def first_cells(wall: WallDistance, known: float) -> Cells:
+def first_cells(wall: WallDistance, known: float, *, count: int = COUNT) -> Cells:
     """Cubes of one size that cover all of the lumen where the clearance can reach `known` mm."""
     surface = wall.surface
     corners = surface.vertices[surface.faces]
     area = 0.5 * float(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
-    roots = np.roots([COUNT, 0.0, -1.5 * area, -1000.0 * surface.volume_ml])
+    roots = np.roots([count, 0.0, -1.5 * area, -1000.0 * surface.volume_ml])
     edge = float(roots[np.isreal(roots)].real.max())
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     # No round share of an edge: faces of the lumen on a round coordinate stay off the cubes' faces.

@@ -154,6 +154,11 @@ def would_do(relaxation: Relaxation) -> str:
 
 def bend_sentence(bend: BendBound, centerline: Centerline, relaxation: Relaxation, limits: Limits) -> str:
     """The proved bend: where, required and available."""
+    if bend.bound == 0.0:
+        return (
+            f"no path exists at {limits.curvature_max:g} 1/mm: none of such bends, however thin, passes the turns about "
+            f"{place_words(bend.place, centerline)}; {limits.clearance_min:g} mm are required{would_do(relaxation)}"
+        )
     return (
         f"no path exists at {limits.curvature_max:g} 1/mm: the bend at {place_words(bend.place, centerline)}, brings every such "
         f"path within {bend.bound:.3f} mm of the wall; {limits.clearance_min:g} mm are required{would_do(relaxation)}"

@@ -202,12 +202,18 @@ def zone(
 
 
 def ball_radius(points: FloatArray) -> float:
-    """Radius of a ball about all points, little larger than the smallest (Badoiu and Clarkson 2003)."""
-    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    """Radius of a ball about all points, little larger than the smallest."""
+    return ball_about(points)[1]
+
+
+def ball_about(points: FloatArray) -> tuple[FloatArray, float]:
+    """Middle and radius of a ball about all points, little larger than the smallest (Badoiu and Clarkson 2003)."""
+    middle = best = 0.5 * (points.min(axis=0) + points.max(axis=0))
     radius = np.inf
     for k in range(1, BALL_ROUNDS + 1):
         gap = np.linalg.norm(points - middle, axis=1)
         far = int(np.argmax(gap))
-        radius = min(radius, float(gap[far]))
+        if gap[far] < radius:
+            best, radius = middle, float(gap[far])
         middle = middle + (points[far] - middle) / (k + 1.0)
-    return float(radius)
+    return best, radius

@@ -1,9 +1,9 @@
 """A run's claim that no path passes a bend, held against samples of the cross-sections that it rests on."""
 
-# Strategy: the claim names three cross-sections that a path meets in order, and says that no three points of them with the
-# clearance stated lie on a circle as large as the least bend radius. A circle's radius is all that is used of
-# the argument: points on each disc, those of that clearance by the verifier's own distance, and the
-# largest circle through any three of them. One that is large enough refutes the claim; so does a path of the run itself.
+# Strategy: the claim names three or more cross-sections that a path meets in order, and says that of points of them with the
+# clearance stated, one of each, some three neighbours lie on a circle smaller than the least bend radius. A circle's radius is
+# all that is used of the argument: points on each disc, those of that clearance by the verifier's own distance, and the choice
+# of them whose smallest circle is largest. One that is large enough refutes the claim; so does a path of the run itself.
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def check_no_path(result: Mapping[str, Any], own: OwnProfile, lumen: Lumen) -> I
         ok=largest <= (1.0 + SLACK) / limit,
         found=f"{largest:.3f} mm",
         expected=f"at most {1.0 / limit:.3f} mm",
-        text="Largest circle through three points, one of each cross-section of the bend, that have the clearance stated.",
+        text="Largest circle through points of neighbouring cross-sections of the bend that have the clearance stated.",
     )
 
 
@@ -78,19 +78,21 @@ def room(section: Mapping[str, Any], lumen: Lumen, clearance: float) -> FloatArr
 
 
 def max_circle(rooms: list[FloatArray]) -> float:
-    """Radius of the largest circle through one point of each set whose arc passes the middle one by less than half a turn, mm."""
-    one, two, three = rooms
-    largest = 0.0
-    if not min(len(two), len(three)):
-        return largest
-    for p in one:
-        a, b = two[:, None] - p, three[None] - two[:, None]
-        across = np.linalg.norm(np.cross(a, b), axis=2)
-        lengths = np.linalg.norm(a, axis=2) * np.linalg.norm(b, axis=2)
-        forward = np.einsum("ijk,ijk->ij", np.broadcast_to(a, b.shape), b) > 0.0
-        if not forward.any():
-            continue
-        chord = np.linalg.norm(three - p, axis=1)
-        radius = 0.5 * lengths * chord / np.maximum(across, 1e-12)
-        largest = max(largest, float(radius[forward].max(initial=0.0)))
-    return largest
+    """Radius of the smallest circle through three neighbouring points, mm, for one point of each set chosen to make it largest.
+
+    Its arc passes the middle one by less than half a turn.
+    """
+    if not all(len(room) for room in rooms):
+        return 0.0
+    kept = np.full((len(rooms[0]), len(rooms[1])), np.inf)
+    for one, two, three in zip(rooms, rooms[1:], rooms[2:], strict=False):
+        largest = np.zeros((len(two), len(three)))
+        for p, before in zip(one, kept, strict=True):
+            a, b = two[:, None] - p, three[None] - two[:, None]
+            across = np.linalg.norm(np.cross(a, b), axis=2)
+            lengths = np.linalg.norm(a, axis=2) * np.linalg.norm(b, axis=2)
+            radius = 0.5 * lengths * np.linalg.norm(three - p, axis=1) / np.maximum(across, 1e-12)
+            forward = np.einsum("ijk,ijk->ij", np.broadcast_to(a, b.shape), b) > 0.0
+            largest = np.maximum(largest, np.where(forward, np.minimum(radius, before[:, None]), 0.0))
+        kept = largest
+    return float(kept.max())

@@ -77,6 +77,39 @@ def test_a_run_without_such_a_claim_is_not_checked_for_it(shown: OwnProfile, lum
         assert not held({"details": details}, shown, lumen)
 
 
+@pytest.fixture(scope="module")
+def hook() -> Model:
+    """Half a turn of 6.5 mm: an arc of 6.69 mm from end to end keeps 0.1 mm in it, one of 7 mm would leave it."""
+    return torus_piece(bend_radius=6.5, angle=np.pi, radius=1.5)
+
+
+def test_several_sections_of_a_hook_are_confirmed_and_refuted_where_an_arc_passes(hook: Model) -> None:
+    limits = Limits(curvature_max=1.0 / 7.0, clearance_min=0.3)
+    problem = pose_problem(hook.surface, hook.start, hook.goal, limits, TubeSettings())
+    found = bend_bound(problem.wall, problem.centerline, curvature=limits.curvature_max, ceiling=1.5, limit=0.0)
+    assert found is not None
+    claim = {"details": {"bottleneck": {"bend": bend_details(found, limits)}}}
+    corners, cap = hook.surface.vertices[hook.surface.faces], hook.surface.face_cap >= 0
+    lumen = Lumen(Triangles(corners[~cap]), Triangles(corners[cap]))
+    curve = spline_through(hook.axis_points[:: len(hook.axis_points) // 16])[0]
+    axis = measure(BezierPath.from_spline(3, curve.knots, curve.control_points), lumen)
+    assert held(claim, axis, lumen) == {"no path: the run's own path": True, "no path: the bend": True}
+    # An arc of 6.69 mm keeps 0.1 mm: its circle is 3 % larger than is said to be possible.
+    forged = changed(claim, clearance_upper_bound_mm=0.1, curvature_max_per_mm=1.0 / 6.51)
+    assert not held(forged, axis, lumen)["no path: the bend"]
+
+
+def test_of_sections_in_a_row_the_sharpest_three_count() -> None:
+    angle = np.array([0.0, 0.4, 0.9, 1.3])
+    turned = 7.0 * np.column_stack([np.cos(angle) - 1.0, np.sin(angle), 0.0 * angle])
+    on_one = [turned[k : k + 1] for k in range(4)]
+    assert max_circle(on_one) == pytest.approx(7.0)
+    # A straight piece before an arc is no sharper than the arc; with two points to choose from the better one is taken.
+    aside = turned[1] + np.array([-0.5, 0.0, 0.0])
+    assert max_circle([turned[:1], np.array([aside]), *on_one[2:]]) < 7.0
+    assert max_circle([turned[:1], np.array([aside, turned[1]]), *on_one[2:]]) == pytest.approx(7.0)
+
+
 def test_largest_circle_of_points_on_circles_is_the_larger_one() -> None:
     angle = np.array([0.0, 0.4, 0.9])
     small, large = (radius * np.column_stack([np.cos(angle) - 1.0, np.sin(angle), 0.0 * angle]) for radius in (3.0, 7.0))
