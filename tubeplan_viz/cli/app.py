@@ -24,7 +24,10 @@ COMMANDS = {
     "run": ("run:run", "Plan one case from a case file; options given here take the place of the file's."),
     "inspect": ("inspect:inspect", "List what is in a DICOM folder, volume or mesh: series, geometry, faults."),
     "segment": ("segment:segment", "Grow the lumen of a CT and write its mask (NIfTI) and mesh (PLY)."),
-    "endpoints": ("endpoints:endpoints", "List the tips of the lumen's tree, for --start and --goal."),
+    "endpoints": (
+        "endpoints:endpoints",
+        "List the tips of the lumen's tree, for --start and --goal; with an anatomy their parts, which --goal takes too.",
+    ),
     "verify": ("verify:verify", "Check curvature, clearance, inside-ness, ends, frame and every printed number again."),
     "compare": (
         "compare:compare",
