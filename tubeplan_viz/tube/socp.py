@@ -43,12 +43,15 @@ class Aim:
         Clearance that each sample is to keep, or to come back to.
     span : (first, last) parameter
         Stretch whose least clearance is raised; elsewhere the floor alone counts.
+    straight : float, mm
+        Mean clearance that is worth as much as a path that everywhere bends as much as it may, where that mean is the goal.
     """
 
     goal: str
     curvature: float
     floor: FloatArray | float = 0.0
     span: tuple[float, float] = (0.0, 1.0)
+    straight: float = 0.0
 
     def inside(self, u: FloatArray) -> BoolArray:
         """Which parameters lie in the span."""
@@ -156,25 +159,29 @@ class StepProblem:
             return empty, cost, 0.0
         if aim.goal == "mean":
             cost[unknowns:least] = -self.weight
-            return empty, cost, 0.0
+            # |F''| / |F'|^2 is the curvature at even speed; the speed at hand stands for that of the step.
+            second = self.curvature_basis.curve(self.control, 2)
+            share = aim.straight * bend_unit(self.curvature_basis, self.control, aim.curvature)
+            gradient, hessian = self._energy(2)
+            cost[:unknowns] = share * gradient
+            return upper_quadratic(hessian, share, width), cost, share * float((second**2).sum(axis=1).mean())
         if aim.goal == "curvature":
             cost[excess] = 1.0
             return empty, cost, 0.0
         # The integral of |F'|^2 over u is least for the shortest path at even speed, and then its square.
         speed = self.curvature_basis.curve(self.control, 1)
-        gradient, hessian = self._energy()
+        gradient, hessian = self._energy(1)
         length = float(np.sqrt((speed**2).sum(axis=1).mean()))
         cost[:unknowns] = gradient / (2.0 * length)
-        quadratic = coo_matrix((hessian.data / (2.0 * length), (hessian.row, hessian.col)), shape=(width, width))
-        return csc_matrix(quadratic), cost, length
+        return upper_quadratic(hessian, 1.0 / (2.0 * length), width), cost, length
 
-    def _energy(self) -> tuple[FloatArray, coo_matrix]:
-        """Gradient and upper half of the Hessian of the mean of |F'|^2 in the moves."""
+    def _energy(self, order: int) -> tuple[FloatArray, coo_matrix]:
+        """Gradient and upper half of the Hessian of the mean square of a derivative of the path in the moves."""
         basis = self.curvature_basis
         k, n = len(basis.first), len(self.control)
         rows = np.repeat(np.arange(k), 4)
         columns = (basis.first[:, None] + np.arange(4)).ravel()
-        derivative = coo_matrix((basis.values[1].ravel(), (rows, columns)), shape=(k, n)).tocsr()
+        derivative = coo_matrix((basis.values[order].ravel(), (rows, columns)), shape=(k, n)).tocsr()
         gram = (derivative.T @ derivative)[1:-1] * (2.0 / k)
         gradient = np.asarray(gram @ self.control).ravel()
         inner = coo_matrix(gram[:, 1:-1])
@@ -293,6 +300,17 @@ class StepProblem:
         """Largest |F''| / |F'|^2 of the samples over `limit`; no less than the curvature's share."""
         first, second = self.curvature_basis.curve(self.control, 1), self.curvature_basis.curve(self.control, 2)
         return float((np.linalg.norm(second, axis=1) / np.einsum("ka,ka->k", first, first)).max() / limit)
+
+
+def bend_unit(basis: Basis, control: FloatArray, limit: float) -> float:
+    """What the mean of |F''|^2 is multiplied with to be that of the squared curvature as a share of its limit."""
+    square = float((basis.curve(control, 1) ** 2).sum(axis=1).mean())
+    return 1.0 / (square * limit) ** 2
+
+
+def upper_quadratic(hessian: coo_matrix, share: float, width: int) -> csc_matrix:
+    """A share of the upper half of a Hessian in the first unknowns, as wide as all of them."""
+    return csc_matrix(coo_matrix((share * hessian.data, (hessian.row, hessian.col)), shape=(width, width)))
 
 
 _Entries = tuple[IntArray, IntArray, FloatArray]
