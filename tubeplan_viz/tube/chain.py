@@ -10,8 +10,9 @@
 #     between both and in that margin about g(i+1). Where all of this fits in a ball of radius r < 1 / k, it is no longer than
 #     (2 / k) asin(k r) (`bend`, fact 1), and so shorter than half a circle, and an excursion beyond g(i) is one of these.
 #     By induction from the last section to the first this holds for all.
-# (2) Dead ends between two sections need not fit in that ball, if each fits in one of its own: what enters one and comes back
-#     is short by the same fact, and so strays from its opening's hull no farther than the height of an arc over its width.
+# (2) Dead ends between two sections need not fit in that ball: what enters one by its opening and comes back is short by the
+#     same argument, with a ball about the opening and the dead ends beyond it, down to those that fit in a ball as they
+#     are; and so it strays from the opening's hull no farther than the height of an arc over its width.
 
 from __future__ import annotations
 
@@ -30,8 +31,14 @@ from tubeplan_viz.tube.gates import across_at, ball_about, ball_radius, parts, p
 
 QUARTERS = 0.5 * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
 ROUNDING = 1e-9
+# Edge of the squares begun with, in bend radii.
+FIRST_WIDTH = 0.03
 # Balls tried about two neighbouring sections.
 SIZES = 8
+# Steps into a dead end, in bend radii, for the middle of a ball that holds its opening.
+AHEAD = (0.0, 0.3, 0.45)
+# Dead ends that share so much of their cubes are taken for the same where it was not shown to be blind.
+ALIKE = 0.9
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,6 +105,15 @@ class DeadEnd:
     opening: IntArray
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Known:
+    """A dead end looked at: its cubes, how many, and the ball about its opening, or None where it is not known to be blind."""
+
+    holds: BoolArray
+    size: int
+    ball: tuple[FloatArray, float] | None
+
+
 class ChainMaker:
     """Chains of cross-sections at places of one centerline, for one clearance.
 
@@ -123,6 +139,7 @@ class ChainMaker:
         self._clearance, self._curvature = clearance, curvature
         self._divides: dict[int, Divide | None] = {}
         self._stations: dict[int, Station] = {}
+        self._known: list[Known] = []
         self._radii: dict[tuple[int, int, bool], float | None] = {}
 
     def width(self, index: int) -> float:
@@ -160,8 +177,8 @@ class ChainMaker:
         for size in np.linspace(least + ROUNDING, max(least, most - reach - margin), SIZES):
             around = self._dead_ends(between, gap <= size)
             radius = size + reach + max([margin, *(self._height(end.opening) for end in around)])
-            if radius < most and all(ball_radius(self._center[end.region]) + reach < most for end in around):
-                return float(radius)
+            if radius < most:
+                return float(radius) if all(self._blind(end) for end in around) else None
         return None
 
     def _dead_ends(self, region: IntArray, core: BoolArray) -> list[DeadEnd]:
@@ -177,6 +194,51 @@ class ChainMaker:
         mouth = both[core[both[:, 0]] & ~core[both[:, 1]]]
         label = part[mouth[:, 1]]
         return [DeadEnd(region=region[part == k], opening=region[np.unique(mouth[label == k])]) for k in np.unique(label)]
+
+    def _blind(self, end: DeadEnd) -> bool:
+        """Whether whatever enters a dead end by its opening and comes back is shorter than half a circle.
+
+        By the argument between two sections: it keeps to a ball about the opening, but for what strays into the dead ends
+        beyond that ball, of which the same holds. So it does from anywhere in that ball, and in any part of the dead end.
+        """
+        reach, most = 0.5 * float(np.sqrt(3.0)) * self._width, 1.0 / self._curvature
+        cubes, opening = self._center[end.region], self._center[end.opening]
+        if ball_radius(cubes) + reach < most:
+            return True
+        for known in self._known:
+            inside = known.holds[end.region]
+            if known.ball is None:
+                # As good as the same dead end: not known to be blind either.
+                if inside.mean() > ALIKE and len(end.region) > ALIKE * known.size:
+                    return False
+            elif inside.all() and (np.linalg.norm(opening - known.ball[0], axis=1) <= known.ball[1]).all():
+                return True
+        ball, around = self._first_ball(end, most - reach)
+        found = ball is not None and all(self._blind(part) for part in around)
+        holds = np.zeros(len(self._center), dtype=bool)
+        holds[end.region] = True
+        self._known.append(Known(holds=holds, size=len(end.region), ball=ball if found else None))
+        return found
+
+    def _first_ball(self, end: DeadEnd, most: float) -> tuple[tuple[FloatArray, float] | None, list[DeadEnd]]:
+        """A ball about an opening that leaves least of its dead end, by openings narrow enough, and what it leaves."""
+        cubes, opening = self._center[end.region], self._center[end.opening]
+        middle = ball_about(opening)[0]
+        ahead = cubes[np.linalg.norm(cubes - middle, axis=1) < most].mean(axis=0) - middle
+        ahead /= max(float(np.linalg.norm(ahead)), 1e-12)
+        ball: tuple[FloatArray, float] | None = None
+        best: list[DeadEnd] = []
+        left = len(end.region)
+        for step in AHEAD:
+            center = middle + step * most * ahead
+            gap, least = np.linalg.norm(cubes - center, axis=1), float(np.linalg.norm(opening - center, axis=1).max())
+            for size in np.linspace(most, least, SIZES)[1:] if least < most else ():
+                if np.count_nonzero(gap > size) >= left:
+                    continue
+                around = self._dead_ends(end.region, gap <= size)
+                if size + max((self._height(part.opening) for part in around), default=0.0) < most:
+                    ball, best, left = (center, float(size)), around, sum(len(part.region) for part in around)
+        return ball, best
 
     def _height(self, cubes: IntArray) -> float:
         """How far a curve that is shorter than half a circle strays from the hull of the cubes that both its ends lie in, mm."""
@@ -224,7 +286,7 @@ class ChainMaker:
                 origin=origin, normal=normal, axes=axes, place=np.zeros((1, 2)), width=0.0, clear=np.ones(1, dtype=bool)
             )
         cubes = self._center[divide.patch]
-        width = 0.5 * self._width
+        width = FIRST_WIDTH / self._curvature
         flat = (cubes - origin) @ axes.T
         low, high = np.floor(flat.min(axis=0) / width).astype(int) - 2, np.ceil(flat.max(axis=0) / width).astype(int) + 2
         grid = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
