@@ -156,7 +156,7 @@ def bend_sentence(bend: BendBound, centerline: Centerline, relaxation: Relaxatio
     """The proved bend: where, required and available."""
     if bend.bound == 0.0:
         return (
-            f"no path exists at {limits.curvature_max:g} 1/mm: none of such bends, however thin, passes the turns about "
+            f"no path exists at {limits.curvature_max:g} 1/mm: nothing that bends no more, however thin, passes the turns about "
             f"{place_words(bend.place, centerline)}; {limits.clearance_min:g} mm are required{would_do(relaxation)}"
         )
     return (
