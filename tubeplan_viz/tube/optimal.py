@@ -33,7 +33,7 @@ CURVATURE_AIM = 0.9998
 CLEARANCE_TOLERANCE = 0.002
 PROOF_SHARE = 0.003
 # Share of the largest least clearance that an answer of the second phase must be proved to keep.
-KEPT = 0.999
+KEPT = 0.998
 # Share of the clearance that a control point may move in one round: under 1 / sqrt(3), so that no wall is passed.
 TRUST_MAX = 0.5
 TRUST_MIN = 0.01
@@ -41,7 +41,7 @@ TRUST_MIN = 0.01
 # the bend cannot be had so, all but the second share is.
 GIVEN, SCRAPING = 0.5, 0.02
 REFUSALS = 4
-SECOND_ROUNDS = 12
+SECOND_ROUNDS = 8
 # The excess of curvature stalls where so many rounds together take less than this share of it.
 STALL_ROUNDS, STALL_SHARE = 4, 0.1
 # An excess below this share of the limit is mended by asking for a little more than the limit.
@@ -50,7 +50,7 @@ ATTEMPTS = 3
 # As often are places that the samples missed added while the least clearance is raised.
 CLOSER_LOOKS = 6
 # The second aim is worth less precision than the least clearance.
-MEAN_COARSER = 6.0
+MEAN_COARSER = 20.0
 # Share of the median clearance that a path gives away on the mean for bending nowhere instead of everywhere as much as it may:
 # without it the path follows every bulge of the wall, which nearly doubles its turns for 1 or 2 % of the mean.
 STRAIGHT = 0.3
@@ -100,7 +100,8 @@ def optimise(passage: Passage, settings: OptimalSettings, *, warm: SplineCurve |
     floor = needed = limits.clearance_min
     # A limit that is out of reach is no reason to hold on to the last digit.
     if settings.objective == "clearance" or proved < limits.clearance_min:
-        floor, needed = settings.keep * proved, KEPT * proved
+        # No more is kept than can be told: a proof is exact to the slack.
+        floor, needed = settings.keep * proved, min(KEPT * proved, proved - slack)
         if proved >= limits.clearance_min:
             floor, needed = max(floor, min(proved, limits.clearance_min + slack)), max(needed, limits.clearance_min)
     else:
@@ -163,7 +164,7 @@ def run_phase(
     """
     limit = passage.limits.curvature_max
     looks = CLOSER_LOOKS if first_phase(aim) else ATTEMPTS
-    # The first phase decides how much room there is; what follows it is worth a dozen rounds.
+    # The first phase decides how much room there is; what follows it is worth a few rounds.
     left = looks * settings.max_rounds if first_phase(aim) else min(settings.max_rounds, SECOND_ROUNDS)
     for look in range(looks):
         for reached in rounds(grid, state, aim, limit, fixed, settings, most=min(left, settings.max_rounds)):
