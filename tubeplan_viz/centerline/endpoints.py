@@ -96,25 +96,8 @@ def find_endpoints(
         spread = thinned(graph, branch)
         cover(graph, covered, graph.nodes[spread], 1.5 * graph.radii[spread] + settings.step)
     found = [(root_end(graph, previous, tips, first), max((b for _, b, _ in tips), default=0.0), 0.0)]
-    alone = lengths_alone(previous, length, [tip for tip, _, _ in tips])
-    by_length = sorted(range(len(tips)), key=lambda k: -tips[k][1])
-    found += [(retreat(graph, wall, previous, tips[k][0], min(tips[k][1], alone[k])), *tips[k][1:]) for k in by_length]
+    found += [(retreat(graph, wall, previous, tip, b), b, w) for tip, b, w in sorted(tips, key=lambda t: -t[1])]
     return tuple(label_tips(graph, wall, found))
-
-
-def lengths_alone(previous: IntArray, length: FloatArray, tips: list[int]) -> list[float]:
-    """Of each tip, how much of its tree path no other tip's path shares, mm."""
-    chains = [walk_up(previous, tip) for tip in tips]
-    shared = np.bincount(np.concatenate(chains), minlength=len(previous)) > 1 if chains else np.zeros(len(previous), dtype=bool)
-    return [float(length[chain[0]] - max((length[node] for node in chain if shared[node]), default=0.0)) for chain in chains]
-
-
-def walk_up(previous: IntArray, node: int) -> list[int]:
-    """The tree path from a node to the root."""
-    chain = [node]
-    while previous[chain[-1]] >= 0:
-        chain.append(int(previous[chain[-1]]))
-    return chain
 
 
 def nearest_node(graph: VoronoiGraph, point: ArrayLike | None) -> int:
@@ -202,8 +185,6 @@ def thinned(graph: VoronoiGraph, branch: list[int]) -> list[int]:
 def retreat(graph: VoronoiGraph, wall: WallDistance, previous: IntArray, tip: int, branch_length: float) -> int:
     """Walk back from a tip, at most a third of its branch, until the lumen is half as wide as the branch is.
 
-    The branch is what leads to this tip alone: with the way from the root, which is wider, a narrow end would be lost.
-
     The very tip lies in a corner of the wall; an instrument's end belongs where there is room.
     """
     chain, gone = [tip], 0.0
@@ -226,7 +207,10 @@ def root_end(graph: VoronoiGraph, previous: IntArray, tips: list[tuple[int, floa
     """The root itself, moved along the longest branch to where the lumen has half its usual width."""
     if not tips:
         return first
-    chain = walk_up(previous, tips[0][0])[::-1]
+    chain = [tips[0][0]]
+    while previous[chain[-1]] >= 0:
+        chain.append(int(previous[chain[-1]]))
+    chain = chain[::-1]
     enough = 0.5 * float(np.median(graph.radii[chain]))
     for node in chain[: max(len(chain) // 3, 1)]:
         if graph.radii[node] >= enough:

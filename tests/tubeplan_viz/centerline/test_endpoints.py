@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from segmentation.mesh import Cap, Surface
 from tubeplan_viz.centerline import Endpoint, find_endpoints, voronoi_graph
-from tubeplan_viz.centerline.endpoints import lengths_alone, lengths_beyond, path_lengths
+from tubeplan_viz.centerline.endpoints import lengths_beyond, path_lengths
 from tubeplan_viz.geometry import WallDistance
 
 Prepare = Callable[[str], Any]
@@ -49,15 +49,6 @@ def test_a_tube_has_two_tips_on_its_caps(name: str, prepared: Prepare) -> None:
     assert [tip.label for tip in tips] == ["E1", "E2"]
     ends = sorted((tip.point for tip in tips), key=lambda p: float(np.linalg.norm(p - case.model.start)))
     np.testing.assert_allclose(ends, [case.model.start, case.model.goal], atol=0.01)
-
-
-def test_what_leads_to_a_tip_alone_ends_at_the_fork() -> None:
-    # Root 0, fork 1 after 100 mm; tip 3 another 5 + 35 mm on, tip 5 another 6 + 2 mm, tip 6 hangs on the root by itself.
-    previous = np.array([-9999, 0, 1, 2, 1, 4, 0])
-    length = np.array([0.0, 100.0, 105.0, 140.0, 106.0, 108.0, 7.0])
-    assert lengths_alone(previous, length, [3, 5, 6]) == [40.0, 8.0, 7.0]
-    # A single tip has the whole way for itself.
-    assert lengths_alone(previous, length, [3]) == [140.0]
 
 
 def test_labels_are_the_same_every_time(prepared: Prepare) -> None:
