@@ -74,6 +74,56 @@ class Cells:
         return int(np.argmax(held)) if held.any() else -1
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Clear:
+    """Of cubes of one size those where the clearance can reach what is asked for.
+
+    Attributes
+    ----------
+    center : (n, 3) float array, mm
+    width : float, mm
+    pairs : (k, 2) int array
+        Which of them share a face.
+    ends : tuple of int
+        Which of them hold the points given; -1 for none.
+    """
+
+    center: FloatArray
+    width: float
+    pairs: IntArray
+    ends: tuple[int, ...]
+
+    @property
+    def reach(self) -> float:
+        """Radius of the ball about each cube, mm."""
+        return 0.5 * float(np.sqrt(3.0)) * self.width
+
+
+def clear_cells(cells: Cells, clearance: float, points: FloatArray) -> Clear:
+    """The cubes where the clearance can reach so many mm, and those of them that hold some points, (m, 3) mm."""
+    alive = np.flatnonzero(cells.alive & (cells.upper >= clearance))
+    held = [cells.holding(point) for point in points]
+    number = np.full(len(cells.width), -1)
+    number[alive] = np.arange(len(alive))
+    return Clear(
+        center=cells.center(alive),
+        width=float(cells.width[0]) * cells.unit,
+        pairs=renumbered(cells.pairs, number),
+        ends=tuple(int(number[index]) if index >= 0 else -1 for index in held),
+    )
+
+
+def renumbered(pairs: IntArray, number: IntArray) -> IntArray:
+    """Pairs by other numbers, without those of which one has none, -1."""
+    found = number[pairs]
+    return np.asarray(found[(found >= 0).all(axis=1)])
+
+
+def both_ways(pairs: IntArray) -> IntArray:
+    """Each pair, and each turned round, (2 k, 2)."""
+    return np.concatenate([pairs, pairs[:, ::-1]])
+
+
 def first_cells(wall: WallDistance, known: float, *, count: int = COUNT) -> Cells:
     """Cubes of one size that cover all of the lumen where the clearance can reach `known` mm."""
     surface = wall.surface

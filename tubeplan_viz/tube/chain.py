@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import WallDistance, across
-from tubeplan_viz.tube.cells import Cells, ball_bound, measured
+from tubeplan_viz.tube.cells import Cells, ball_bound, both_ways, clear_cells, measured, renumbered
 from tubeplan_viz.tube.gates import across_at, ball_about, ball_radius, parts, patch
 
 QUARTERS = 0.5 * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
@@ -128,13 +128,9 @@ class ChainMaker:
     """
 
     def __init__(self, cells: Cells, way: Centerline, *, clearance: float, curvature: float) -> None:
-        alive = np.flatnonzero(cells.alive & (cells.upper >= clearance))
-        number = np.full(len(cells.width), -1)
-        number[alive] = np.arange(len(alive))
-        pairs = number[cells.pairs]
-        self._pairs: IntArray = pairs[(pairs >= 0).all(axis=1)]
-        self._center, self._width = cells.center(alive), float(cells.width[0]) * cells.unit
-        self._ends = [number[cells.holding(point)] for point in way.points[[0, -1]]]
+        clear = clear_cells(cells, clearance, way.points[[0, -1]])
+        self._center, self._width, self._reach = clear.center, clear.width, clear.reach
+        self._pairs, self._ends = clear.pairs, clear.ends
         self._wall, self._way, self._tips = cells.wall, way, (0, len(way.points) - 1)
         self._clearance, self._curvature = clearance, curvature
         self._divides: dict[int, Divide | None] = {}
@@ -167,7 +163,7 @@ class ChainMaker:
         near, far = self._divide(place), self._divide(index)
         if near is None or far is None or (near.patch & far.beyond).any() or not near.beyond[far.patch].all():
             return None
-        reach, most = 0.5 * float(np.sqrt(3.0)) * self._width, 1.0 / self._curvature
+        reach, most = self._reach, 1.0 / self._curvature
         between = np.flatnonzero(near.patch | far.patch | (near.beyond & ~far.beyond))
         patches = self._center[near.patch | far.patch]
         middle = ball_about(np.concatenate([patches, self._way.points[place : index + 1]]))[0]
@@ -187,10 +183,9 @@ class ChainMaker:
             return []
         number = np.full(len(self._center), -1)
         number[region] = np.arange(len(region))
-        pairs = number[self._pairs]
-        pairs = pairs[(pairs >= 0).all(axis=1)]
+        pairs = renumbered(self._pairs, number)
         part = parts(pairs, core, len(region))
-        both = np.concatenate([pairs, pairs[:, ::-1]])
+        both = both_ways(pairs)
         mouth = both[core[both[:, 0]] & ~core[both[:, 1]]]
         label = part[mouth[:, 1]]
         return [DeadEnd(region=region[part == k], opening=region[np.unique(mouth[label == k])]) for k in np.unique(label)]
@@ -201,7 +196,7 @@ class ChainMaker:
         By the argument between two sections: it keeps to a ball about the opening, but for what strays into the dead ends
         beyond that ball, of which the same holds. So it does from anywhere in that ball, and in any part of the dead end.
         """
-        reach, most = 0.5 * float(np.sqrt(3.0)) * self._width, 1.0 / self._curvature
+        reach, most = self._reach, 1.0 / self._curvature
         cubes, opening = self._center[end.region], self._center[end.opening]
         if ball_radius(cubes) + reach < most:
             return True
@@ -262,7 +257,7 @@ class ChainMaker:
         start, goal_part = (int(part[end]) for end in self._ends)
         if min(start, goal_part) < 0 or start == goal_part:
             return None
-        both = np.concatenate([self._pairs, self._pairs[:, ::-1]])
+        both = both_ways(self._pairs)
         rim = np.unique(both[on[both[:, 0]] & ~on[both[:, 1]], 1])
         # Cubes at the patch's rim do not meet its plane: each lies on one side.
         ahead = (self._center[rim] - origin) @ normal > 0.0
@@ -280,18 +275,20 @@ class ChainMaker:
         """The squares of one section that may hold points of the clearance asked for."""
         origin, normal = self._way.points[index], across_at(self._way, index)
         axes = np.concatenate(across(normal[None]))
-        divide = self._divide(index)
-        if divide is None or index in self._tips:
+        if index in self._tips:
             return Station(
                 origin=origin, normal=normal, axes=axes, place=np.zeros((1, 2)), width=0.0, clear=np.ones(1, dtype=bool)
             )
+        divide = self._divide(index)
+        if divide is None:
+            raise ValueError(f"point {index} of the centerline has no cross-section that parts the lumen")
         cubes = self._center[divide.patch]
         width = FIRST_WIDTH / self._curvature
         flat = (cubes - origin) @ axes.T
         low, high = np.floor(flat.min(axis=0) / width).astype(int) - 2, np.ceil(flat.max(axis=0) / width).astype(int) + 2
         grid = np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)), indexing="ij")
         place = np.stack(grid, axis=-1).reshape(-1, 2) * width
-        near = cKDTree(cubes).query(origin + place @ axes)[0] <= 0.5 * np.sqrt(3.0) * self._width + width / np.sqrt(2.0)
+        near = cKDTree(cubes).query(origin + place @ axes)[0] <= self._reach + width / np.sqrt(2.0)
         whole = Station(
             origin=origin, normal=normal, axes=axes, place=place[near], width=width, clear=np.zeros(near.sum(), dtype=bool)
         )

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.centerline import Centerline
-from tubeplan_viz.tube.cells import Cells
+from tubeplan_viz.tube.cells import Cells, both_ways, clear_cells
 
 # Rounds of the search for a small ball about the cubes; each comes nearer to the smallest by less.
 BALL_ROUNDS = 60
@@ -86,30 +86,24 @@ def passing(cells: Cells, way: Centerline, at: tuple[int, int, int], *, clearanc
     Passing or None
         None where the cubes there do not make such gates.
     """
-    alive = np.flatnonzero(cells.alive & (cells.upper >= clearance))
-    width = float(cells.width[0]) * cells.unit
-    center = cells.center(alive)
-    number = np.full(len(cells.width), -1)
-    number[alive] = np.arange(len(alive))
-    pairs = number[cells.pairs]
-    pairs = pairs[(pairs >= 0).all(axis=1)]
+    clear = clear_cells(cells, clearance, way.points[[0, -1]])
+    center, width, pairs, ends = clear.center, clear.width, clear.pairs, clear.ends
     planes = [(way.points[i], across_at(way, i)) for i in at]
     first = None if at[0] == 0 else patch(center, width, pairs, *planes[0])
     last = None if at[2] == len(way.points) - 1 else patch(center, width, pairs, *planes[2])
-    nothing = np.zeros(len(alive), dtype=bool)
+    nothing = np.zeros(len(center), dtype=bool)
     gate_one, gate_three = (nothing if mask is None else mask for mask in (first, last))
     if (gate_one & gate_three).any():
         return None
-    part = parts(pairs, gate_one | gate_three, len(alive))
-    ends = [number[cells.holding(point)] for point in way.points[[0, -1]]]
-    if min(ends) < 0 or min(part[ends]) < 0:
+    part = parts(pairs, gate_one | gate_three, len(center))
+    if min(ends) < 0 or min(part[list(ends)]) < 0:
         return None
     between = zone(
         center, width, pairs, part, (int(part[ends[0]]), int(part[ends[1]])), (first, last), planes, way.points[[0, -1]]
     )
     if between is None:
         return None
-    radius = ball_radius(center[between]) + 0.5 * float(np.sqrt(3.0)) * width
+    radius = ball_radius(center[between]) + clear.reach
     if curvature * radius >= 1.0:
         return None
     gates = []
@@ -170,7 +164,7 @@ def zone(
     tips: FloatArray,
 ) -> BoolArray | None:
     """Gates and parts between them, Z of the strategy; None where one of its conditions does not hold."""
-    both = np.concatenate([pairs, pairs[:, ::-1]])
+    both = both_ways(pairs)
     between = np.zeros(len(center), dtype=bool)
     touched: list[IntArray] = []
     for mask in masks:

@@ -11,12 +11,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from segmentation.arrays import BoolArray
+from segmentation.arrays import BoolArray, FloatArray
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.tube.chain import ROUNDING, Chain, Station, quartered
 
@@ -34,11 +34,10 @@ def impassable(wall: WallDistance, chain: Chain, *, curvature: float, clearance:
     pairs = [np.ones((len(a.place), len(b.place)), dtype=bool) for a, b in pairwise(stations)]
     turns = [float(np.arcsin(curvature * radius)) for radius in chain.radii]
     while True:
-        if not all(pair.any() for pair in pairs):
-            return True
-        if work(pairs) > WORK_MAX or passable(stations, pairs, turns, curvature):
+        chords = [Chords(a, b, turn) for a, b, turn in zip(stations, stations[1:], turns, strict=False)]
+        if work(pairs) > WORK_MAX or passable(stations, pairs, chords, curvature):
             return False
-        pairs = linked(stations, pairs, turns, curvature, sharp=False)
+        pairs = linked(chords, pairs, curvature, sharp=False)
         stations, pairs = without_lone(stations, pairs)
         if not all(pair.any() for pair in pairs):
             return True
@@ -52,10 +51,10 @@ def impassable(wall: WallDistance, chain: Chain, *, curvature: float, clearance:
             pairs[chosen] = pairs[chosen][parent]
 
 
-def passable(stations: Sequence[Station], pairs: Sequence[BoolArray], turns: Sequence[float], curvature: float) -> bool:
+def passable(stations: Sequence[Station], pairs: Sequence[BoolArray], chords: Sequence[Chords], curvature: float) -> bool:
     """Whether the centres of some squares can be passed in order: no proof is to be had."""
     clear = [pair & a.clear[:, None] & b.clear for pair, a, b in zip(pairs, stations, stations[1:], strict=False)]
-    return all(pair.any() for pair in clear) and all(pair.any() for pair in linked(stations, clear, turns, curvature, sharp=True))
+    return all(pair.any() for pair in clear) and all(pair.any() for pair in linked(chords, clear, curvature, sharp=True))
 
 
 def work(pairs: Sequence[BoolArray]) -> float:
@@ -80,11 +79,9 @@ def without_lone(stations: Sequence[Station], pairs: Sequence[BoolArray]) -> tup
     return left, [pair[a][:, b] for pair, a, b in zip(pairs, kept, kept[1:], strict=False)]
 
 
-def linked(
-    stations: Sequence[Station], pairs: Sequence[BoolArray], turns: Sequence[float], curvature: float, *, sharp: bool
-) -> list[BoolArray]:
+def linked(chords: Sequence[Chords], pairs: Sequence[BoolArray], curvature: float, *, sharp: bool) -> list[BoolArray]:
     """The pairs that some pair before and some pair after them can be passed with; of the centres alone when sharp."""
-    links = [Link(a, b, turn, curvature, sharp=sharp) for a, b, turn in zip(stations, stations[1:], turns, strict=False)]
+    links = [each.link(curvature, sharp=sharp) for each in chords]
     found = [pair.copy() for pair in pairs]
     for k in range(len(found) - 1, 0, -1):
         found[k - 1] = after(links[k - 1], links[k], found[k - 1], found[k])[0]
@@ -93,8 +90,9 @@ def linked(
     return found
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Link:
-    """Directions of the chords between two sections, and the turn that each allows at either end.
+    """What chords between two sections allow at either end.
 
     Attributes
     ----------
@@ -103,19 +101,32 @@ class Link:
         of a chord that meets it is not negative where the turn between both is allowed.
     """
 
-    def __init__(self, a: Station, b: Station, turn: float, curvature: float, *, sharp: bool) -> None:
-        reach = 0.0 if sharp else a.reach + b.reach
+    one: FloatArray
+    two: FloatArray
+
+
+class Chords:
+    """Chords between the centres of the squares of two sections, between which a path turns by at most 2 `turn` rad."""
+
+    def __init__(self, a: Station, b: Station, turn: float) -> None:
         chord = b.center[None] - a.center[:, None]
-        length = np.linalg.norm(chord, axis=2)
-        unit = chord / np.maximum(length, 1e-30)[:, :, None]
+        self._reach, self._turn = a.reach + b.reach, turn
+        self._length = np.linalg.norm(chord, axis=2)
+        self._unit = chord / np.maximum(self._length, 1e-30)[:, :, None]
+
+    def link(self, curvature: float, *, sharp: bool) -> Link:
+        """The turns that they allow at best; that the chords of the centres themselves allow when sharp."""
+        length, reach = self._length, 0.0 if sharp else self._reach
         # A direction between two discs differs from that between their centres by at most the angle of the tangent cone.
         spread = np.arcsin(np.minimum(reach / np.maximum(length, 1e-30), 1.0))
-        allowed = np.minimum(np.arcsin(np.minimum(0.5 * curvature * (length + reach), 1.0)), turn) + spread
+        allowed = np.minimum(np.arcsin(np.minimum(0.5 * curvature * (length + reach), 1.0)), self._turn) + spread
         wide = (allowed >= 0.5 * np.pi) | (length <= reach)
-        unit[wide] = 0.0
+        unit = np.where(wide[:, :, None], 0.0, self._unit)
         cos, sin = np.where(wide, -1.0, np.cos(allowed)), np.where(wide, 1.0, np.sin(allowed))
-        self.one = np.concatenate([unit, -cos[:, :, None], sin[:, :, None]], axis=2)
-        self.two = np.concatenate([unit, cos[:, :, None], sin[:, :, None]], axis=2)
+        return Link(
+            one=np.concatenate([unit, -cos[:, :, None], sin[:, :, None]], axis=2),
+            two=np.concatenate([unit, cos[:, :, None], sin[:, :, None]], axis=2),
+        )
 
 
 def after(first: Link, second: Link, one: BoolArray, two: BoolArray) -> tuple[BoolArray, BoolArray]:

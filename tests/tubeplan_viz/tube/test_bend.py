@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.bench.infeasible import clearance_at_bend
 from tubeplan_viz.bench.models import torus_piece, variant_2
-from tubeplan_viz.bench.random_tubes import random_path, random_tube
-from tubeplan_viz.centerline import Centerline
-from tubeplan_viz.geometry import WallDistance, clearance_lower_bound, curvature_upper_bound
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tube import TubeProblem, TubeSettings, pose_problem
 from tubeplan_viz.tube.bend import STEP, bend_bound, excluded, excluding_bend, resampled, sharpest_windows
@@ -55,20 +55,10 @@ def test_bound_of_two_bends_lies_above_the_planar_optimum_and_below_what_the_end
     assert 2.585 <= found.bound <= 2.7
 
 
-def test_no_clearance_that_a_path_keeps_is_ever_excluded() -> None:
-    rng = np.random.default_rng(11)
-    tried = windows_tried = 0
-    while tried < 10:
-        tube = random_tube(rng)
-        path = random_path(tube, rng, sway=0.35)
-        wall = WallDistance(tube.surface)
-        clearance = clearance_lower_bound(path, wall, tolerance=0.01).bound
-        curvature = curvature_upper_bound(path, limit=0.5).bound
-        if clearance <= 0.05 or not 0.03 < curvature < 0.2:
-            continue
-        tried += 1
-        points = tube.axis.at(np.linspace(0.0, tube.axis.length, 200))[0]
-        way = resampled(Centerline(points, wall.distance(points)), STEP / curvature)
+def test_no_clearance_that_a_path_keeps_is_ever_excluded(kept_paths: Callable[[int, int, float], Iterator[Any]]) -> None:
+    windows_tried = 0
+    for kept in kept_paths(11, 10, 0.03):
+        wall, way, clearance, curvature = kept.wall, kept.way, kept.clearance, kept.curvature
         cells = first_cells(wall, clearance)
         assert excluding_bend(cells, way, curvature, clearance) is None
         # Windows that do not even look too sharp, too.
@@ -77,7 +67,7 @@ def test_no_clearance_that_a_path_keeps_is_ever_excluded() -> None:
             if bend is not None:
                 windows_tried += 1
                 assert not excluded(wall, bend, curvature, clearance)
-                assert_crossed_in_order(path(np.linspace(0.0, 1.0, 4001)), bend.gates)
+                assert_crossed_in_order(kept.path(np.linspace(0.0, 1.0, 4001)), bend.gates)
     assert windows_tried >= 8
 
 

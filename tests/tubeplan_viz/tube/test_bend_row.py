@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 
 from segmentation.arrays import FloatArray
 from tubeplan_viz.bench.infeasible import sagitta
 from tubeplan_viz.bench.models import torus_piece
-from tubeplan_viz.bench.random_tubes import random_path, random_tube
 from tubeplan_viz.centerline import Centerline
-from tubeplan_viz.geometry import WallDistance, clearance_lower_bound, curvature_upper_bound
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tube import TubeProblem, TubeSettings, pose_problem
 from tubeplan_viz.tube.bend import STEP, bend_bound, resampled
@@ -68,23 +69,15 @@ def test_the_sentence_of_a_hook_names_place_and_limits(hook: TubeProblem) -> Non
     assert found.details["bottleneck"]["bend"]["proves_impossible"]
 
 
-def test_no_path_that_there_is_is_ever_excluded_and_every_piece_of_it_is_as_short_as_claimed() -> None:
-    rng = np.random.default_rng(23)
-    tubes = chains = 0
-    while tubes < 6:
-        tube = random_tube(rng)
-        path = random_path(tube, rng, sway=0.35)
-        wall = WallDistance(tube.surface)
-        clearance = clearance_lower_bound(path, wall, tolerance=0.01).bound
-        curvature = curvature_upper_bound(path, limit=0.5).bound
-        if clearance <= 0.05 or not 0.04 < curvature < 0.2:
-            continue
-        tubes += 1
-        points = tube.axis.at(np.linspace(0.0, tube.axis.length, 200))[0]
-        way = resampled(Centerline(points, wall.distance(points)), STEP / curvature)
+def test_no_path_that_there_is_is_ever_excluded_and_every_piece_of_it_is_as_short_as_claimed(
+    kept_paths: Callable[[int, int, float], Iterator[Any]],
+) -> None:
+    chains = 0
+    for kept in kept_paths(23, 6, 0.04):
+        wall, way, clearance, curvature = kept.wall, kept.way, kept.clearance, kept.curvature
         maker = ChainMaker(first_cells(wall, clearance, count=20_000), way, clearance=clearance, curvature=curvature)
         places = [place for place in range(0, len(way.points), 3) if np.isfinite(maker.width(place))]
-        curve = path(np.linspace(0.0, 1.0, 6001))
+        curve = kept.path(np.linspace(0.0, 1.0, 6001))
         for at in likely_chains(way, places, curvature, clearance)[:10]:
             chain = maker.chain(at)
             if chain is None:
