@@ -75,7 +75,7 @@ def _whole(checks: Iterator[Check]) -> Iterator[Check]:
         yield Check(
             name="values",
             ok=False,
-            found=f"{type(fault).__name__}: {str(fault)[:120]}",
+            found=f"{type(fault).__name__}: {shortened(str(fault))}",
             expected="values of their kind in every file of the run",
             text="A value of the run is of another kind than what it stands for, so that what follows could not be checked.",
         )

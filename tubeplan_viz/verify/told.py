@@ -150,7 +150,7 @@ def _radii(places: list[tuple[str, FloatArray, float]], own: OwnProfile) -> Chec
 
 
 def _rounds(result: Mapping[str, Any]) -> Iterator[Check]:
-    """The iterations that are told: in order, and the last one no worse than what was made of it."""
+    """The iterations that are told: in order, with counts of 0 or more."""
     rounds = result["iterations"] or []
     if not rounds:
         return
