@@ -10,7 +10,7 @@ from importlib import import_module
 import pytest
 
 from tubeplan_viz import __version__
-from tubeplan_viz.cli.app import COMMANDS, PLANS, command_tree
+from tubeplan_viz.cli.app import COMMANDS, PLANS, command_tree, status_of
 
 LISTING = """
 import sys
@@ -38,6 +38,15 @@ def test_every_command_is_in_the_tree_once() -> None:
     root = command_tree()
     assert list(root.commands) == [*COMMANDS, "plan"]
     assert list(root.commands["plan"].commands) == list(PLANS)
+
+
+@pytest.mark.parametrize(("group", "commands"), [([], COMMANDS), (["plan"], PLANS)])
+def test_a_list_shows_whole_sentences(
+    group: list[str], commands: dict[str, tuple[str, str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status_of([*group, "--help"]) == 0
+    listed = " ".join(capsys.readouterr().out.split())
+    assert all(f"{name} {summary}" in listed for name, (_, summary) in commands.items())
 
 
 @pytest.mark.parametrize(
