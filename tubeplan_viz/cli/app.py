@@ -14,6 +14,7 @@ from segmentation.errors import TubeplanError
 from segmentation.faults import fault_words
 from tubeplan_viz import __version__
 from tubeplan_viz.cli.late import PLAIN, add_late
+from tubeplan_viz.cli.usage import usage_words
 
 OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
 
@@ -134,14 +135,13 @@ def told(fault: TubeplanError) -> int:
 
 def usage_fault(fault: TyperException) -> None:
     """One sentence about a wrong option or argument; the help itself where no command was named."""
-    # typer keeps the class of its own usage errors private, but not what they offer.
-    text = fault.format_message() if hasattr(fault, "format_message") else str(fault)
+    text = usage_words(fault)
     context = getattr(fault, "ctx", None)
     command = context.command_path if context else "tubeplan"
     if text.startswith("Usage:"):
         typer.echo(text, err=True)
     else:
-        complain(f"{text.rstrip('.')}; see `{command} --help`")
+        complain(f"{text}; see `{command} --help`")
 
 
 def complain(message: str) -> None:
