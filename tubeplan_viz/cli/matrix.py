@@ -13,16 +13,18 @@ from rich.table import Table
 
 from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
-from tubeplan_viz.cli.options import Outputs, case_options, outputs_into
+from tubeplan_viz.cli.options import LUMEN, Outputs, outputs_into, some_case_options
 from tubeplan_viz.cli.show import EXIT_STATUS, name_pages, progress
 from tubeplan_viz.instruments import read_catalogue
 from tubeplan_viz.matrix import run_matrix
 
 SIGNS = {"feasible": "holds", "flagged": "flag", "impossible": "no"}
+# Of a case: what makes the lumen and its tree, and how a path is found. One case's limits, goal and studies are none of these.
+TAKEN = (*LUMEN, "case_id", "start", "start_direction", "method", "closed_ends", "scans", "max_rounds", "centerline_step")
 
 
 @outputs_into("matrix")
-@case_options
+@some_case_options(*TAKEN, unlisted=("curvature_max", "clearance_min", "goal"))
 def matrix(
     *,
     given: dict[str, dict[str, Any]],

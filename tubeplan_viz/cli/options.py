@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -136,9 +137,16 @@ def case_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return some_case_options(*CASE_OPTIONS)(command)
 
 
-def some_case_options(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """The same with those options alone that say something to the command: one that did nothing would mislead."""
+def some_case_options(*names: str, unlisted: Collection[str] = ()) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """The same with those options alone that say something to the command: one that did nothing would mislead.
+
+    Those `unlisted` are taken too but stand in no help: the command refuses them and says what to give instead.
+    """
     declared = {name: Annotated[CASE_OPTIONS[name][2] | None, CASE_OPTIONS[name][3]] for name in names}
+    for name in unlisted:
+        hidden = copy(CASE_OPTIONS[name][3])
+        hidden.hidden = True
+        declared[name] = Annotated[CASE_OPTIONS[name][2] | None, hidden]
     return lambda command: with_options(command, "given", declared, dict.fromkeys(declared), tables)
 
 

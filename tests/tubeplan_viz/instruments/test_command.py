@@ -117,6 +117,7 @@ def test_a_document_that_contradicts_itself_is_refused(made: tuple[Path, int]) -
         (["--goals", "E1"], "the goal E1 is the start"),
         (["--clearance-min", "1"], "--clearance-min does not apply here"),
         (["--goal", "E2"], "--goal does not apply here"),
+        (["--tolerance", "2,2"], "No such option: --tolerance"),
         (["--catalogue", "none.toml"], "none.toml: no such catalogue file"),
         (["--before-start", "-1"], "before_start_mm is -1"),
     ],
