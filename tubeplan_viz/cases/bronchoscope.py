@@ -13,7 +13,7 @@ import numpy as np
 from segmentation.errors import CaseError
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
-from tubeplan_viz.cases.fields import brief, check_keys, number, point, seed, subtable, text, whole
+from tubeplan_viz.cases.fields import brief, check_keys, number, point, seconds, seed, subtable, text, whole
 from tubeplan_viz.cases.inputs import InputCase, input_case, input_table
 from tubeplan_viz.cases.writing import case_file, in_unit_of, written
 from tubeplan_viz.plan import Limits
@@ -45,6 +45,13 @@ KEYS = {
     "patience": ("settings", "patience"),
 }
 WHOLE = ("links", "samples_max", "patience")
+# Least and largest value of what a robot's shape is told by. Wide: they catch units, not unusual robots.
+RANGES = {
+    "diameter_mm": (0.1, 50.0),
+    "proximal_length_mm": (1.0, 500.0),
+    "distal_length_mm": (1.0, 500.0),
+    "bend_max_deg": (1.0, 360.0),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +122,6 @@ def make_bronchoscope_case(table: Mapping[str, Any], *, folder: Path | None = No
         part, attribute = KEYS[key]
         parts[part][attribute] = own_value(key, value, f"{name} [bronchoscope] {key}")
     robot = Robot(**parts["robot"])
-    budget = planner.get("time_budget")
     given = input_case(table, folder=folder, name=name)
     if given.ct is not None and given.anatomy is None and given.seed_point is None:
         given = replace(given, anatomy="airway")
@@ -128,7 +134,7 @@ def make_bronchoscope_case(table: Mapping[str, Any], *, folder: Path | None = No
         curvature_max=number(limits.get("curvature_max", track_curvature(method, robot)), f"{name} [limits] curvature_max"),
         clearance_min=number(limits.get("clearance_min", TIP_RADII[method] * robot.radius), f"{name} [limits] clearance_min"),
         rng_seed=seed(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
-        time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
+        time_budget=seconds(planner.get("time_budget"), f"{name} [planner] time_budget"),
         robot=robot,
         settings=PlannerSettings(**parts["settings"]),
     )
@@ -146,6 +152,9 @@ def own_value(key: str, value: Any, where: str) -> Any:
     if key in WHOLE:
         return whole(value, where)
     found = number(value, where)
+    low, high = RANGES.get(key, (found, found))
+    if not low <= found <= high:
+        raise CaseError(f"{where}: found {found:g}, expected {low:g} to {high:g}")
     return float(np.radians(found)) if key.endswith("_deg") else found
 
 

@@ -18,14 +18,15 @@ from tubeplan_viz.tolerance import PRESETS
 Place = tuple[float, float, float] | str
 
 
-def read_table(path: Path) -> dict[str, Any]:
-    """The tables of a case file as they stand."""
+def read_table(path: Path, *, what: str = "case file") -> dict[str, Any]:
+    """The tables of a case file, or of another file of that kind, as they stand."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise CaseError(f"{path.name}: no such case file") from None
+        raise CaseError(f"{path.name}: no such {what}") from None
     except (OSError, UnicodeDecodeError) as fault:
-        raise CaseError(f"{path.name}: cannot be read as text ({fault.__class__.__name__}); expected a TOML case file") from None
+        reason = str(getattr(fault, "strerror", None) or "no UTF-8 text").lower()
+        raise CaseError(f"{path.name}: cannot be read ({reason}); expected a {what} in TOML") from None
     except tomllib.TOMLDecodeError as fault:
         raise CaseError(f"{path.name}: not valid TOML: {fault}") from None
 
@@ -101,7 +102,17 @@ def whole(value: Any, where: str) -> int:
     found = number(value, where, "a whole number")
     if found != round(found):
         raise CaseError(f"{where}: found {brief(value)}, expected a whole number")
-    return int(found)
+    return int(value)  # and not of `found`, which a whole number of more than 16 digits does not survive
+
+
+def seconds(value: Any, where: str) -> float | None:
+    """A value that must be a time budget: a number above 0, or none."""
+    if value is None:
+        return None
+    found = number(value, where)
+    if found <= 0.0:
+        raise CaseError(f"{where}: found {found:g} s, expected more than 0")
+    return found
 
 
 def seed(value: Any, where: str) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from segmentation.errors import CaseError
-from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, seed, subtable, table_rows, text
+from tubeplan_viz.cases.fields import brief, check_keys, located, number, point, seconds, seed, subtable, table_rows, text
 from tubeplan_viz.cases.needle_rows import (
     HU_KEYS,
     MONTE_CARLO_KEYS,
@@ -128,7 +128,6 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
     method = text(planner.get("method", NEEDLES[which][0]), f"{name} [planner] method")
     if method not in NEEDLES[which]:
         raise CaseError(f"{name} [planner] method: {which} has no method {brief(method)}, expected {' or '.join(NEEDLES[which])}")
-    budget = planner.get("time_budget")
     flat = which == "needle2d"
     places = {key: place(own.pop(key), 2 if flat else 3, f"{name} {key}") for key in PLACES if key in own}
     if "target" not in places:
@@ -157,7 +156,7 @@ def make_needle_case(table: Mapping[str, Any], *, folder: Path | None = None, na
         case_id=text(given["case_id"], f"{name} [input] case_id") if "case_id" in given else None,
         frame=frame,
         rng_seed=seed(planner.get("rng_seed", 0), f"{name} [planner] rng_seed"),
-        time_budget=None if budget is None else number(budget, f"{name} [planner] time_budget"),
+        time_budget=seconds(planner.get("time_budget"), f"{name} [planner] time_budget"),
         obstacles=tuple(obstacle_case(row, flat, folder, f"{name} [[obstacles]] {k + 1}") for k, row in enumerate(bodies)),
         events=tuple(event_case(row, f"{name} [[events]] {k + 1}") for k, row in enumerate(table_rows(table, "events", name))),
         ct=located(given["ct"], folder, f"{name} [input] ct") if "ct" in given else None,

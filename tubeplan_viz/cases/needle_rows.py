@@ -135,7 +135,7 @@ def read_events(path: Path) -> list[Any]:
     CaseError
         If it is no TOML file or holds anything else.
     """
-    table = read_table(path)
+    table = read_table(path, what="file of [[events]]")
     check_keys(table, ("events",), path.name, "table")
     events = table.get("events")
     if not isinstance(events, list) or not events:

@@ -17,6 +17,7 @@ from tubeplan_viz.cases.fields import (
     number,
     point,
     read_table,
+    seconds,
     seed,
     subtable,
     text,
@@ -53,8 +54,6 @@ class PlannerCase:
     def __post_init__(self) -> None:
         if self.name not in PLANNERS:
             raise CaseError(f"there is no planner {brief(self.name)} yet, expected {' or '.join(PLANNERS)}")
-        if self.time_budget is not None and not self.time_budget > 0:
-            raise CaseError(f"time_budget is {self.time_budget:g} s, expected more than 0")
         if isinstance(self.tolerance, tuple):
             ToleranceSettings(translation=self.tolerance[0], rotation=self.tolerance[1])
 
@@ -146,8 +145,7 @@ def make_case(table: Mapping[str, Any], *, folder: Path | None = None, name: str
         planner["rng_seed"] = seed(planner["rng_seed"], f"{name} [planner] rng_seed")
     if not isinstance(planner.get("closed_ends", False), bool):
         raise CaseError(f"{name} [planner] closed_ends: found {brief(planner['closed_ends'])}, expected true or false")
-    if planner.get("time_budget") is not None:
-        planner["time_budget"] = number(planner["time_budget"], f"{name} [planner] time_budget")
+    planner["time_budget"] = seconds(planner.get("time_budget"), f"{name} [planner] time_budget")
     if planner.get("tolerance") is not None:
         planner["tolerance"] = error_of_pose(planner["tolerance"], f"{name} [planner] tolerance")
     limits = subtable(table, "limits", name)

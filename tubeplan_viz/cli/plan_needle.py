@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -93,8 +94,8 @@ def needle2d(
     Example: tubeplan plan needle2d --target 0,90 --circle 0,40,10 --circle=-40,30,15 --polygon 20,60,40,60,40,80 -o run
     """
     own = {"target": target, "entry": entry, "radius_mm": radius, "kappa": kappa, "safety_mm": safety, "degree_max": degree_max}
-    bodies = [ball("circle", text, 3) for text in circle or []]
-    bodies += [{"kind": "polygon", "points": places("polygon", text, 2, 6)} for text in polygon or []]
+    bodies = [(f"--circle {text}", ball("circle", text, 3)) for text in circle or []]
+    bodies += [(f"--polygon {text}", {"kind": "polygon", "points": places("polygon", text, 2, 6)}) for text in polygon or []]
     run("needle2d", own | {"angle_max_deg": angle_max}, bodies, {"rng_seed": rng_seed}, {"case_id": case_id}, outputs)
 
 
@@ -144,14 +145,21 @@ def needle3d(
     own: dict[str, Any] = {"target": target, "entry": entry, "direction": direction, "kappa": kappa, "radius_mm": radius}
     own |= {"safety_mm": safety, "pieces": pieces, "duty_cycle": duty_cycle or None, "skin": skin or None}
     own |= {"entry_radius_mm": entry_radius, "cone_deg": cone, "restarts": restarts, "rounds": rounds}
-    bodies = [ball("sphere", text, 4) for text in sphere or []]
-    bodies += [rod(text) for text in capsule or []]
-    bodies += [{"kind": "mesh", "file": str(path)} for path in mesh or []]
-    bodies += [{"kind": "mask", "file": str(path)} for path in mask or []]
+    if hu_min is None and (hu_max is not None or seed_point is not None):
+        option = "--seed-point" if hu_max is None else "--hu-max"
+        raise CaseError(f"{option} is for an obstacle of the CT's voxels, which begins at --hu-min; give --hu-min too")
+    bodies = [(f"--sphere {text}", ball("sphere", text, 4)) for text in sphere or []]
+    bodies += [(f"--capsule {text}", rod(text)) for text in capsule or []]
+    bodies += [(f"--mesh {path.name}", {"kind": "mesh", "file": str(path)}) for path in mesh or []]
+    bodies += [(f"--mask {path.name}", {"kind": "mask", "file": str(path)}) for path in mask or []]
     image = {"ct": ct, "series": series, "hu_min": hu_min, "hu_max": hu_max, "seed_point": seed_point, "case_id": case_id}
     planner = {"rng_seed": rng_seed, "method": method, "time_budget": time_budget}
     chances = {"runs": monte_carlo, "curvature_error": curvature_error, "tip_noise_mm": tip_noise}
     chances |= {"target_motion_mm": target_motion}
+    idle = [key for key, value in chances.items() if value is not None] if monte_carlo is None else []
+    if idle:
+        option = f"--{idle[0].removesuffix('_mm').replace('_', '-')}"
+        raise CaseError(f"{option} is for simulated insertions, of which none was asked for; give --monte-carlo too")
     more = {"events": read_events(events)} if events is not None else {}
     run("needle3d", own, bodies, planner, image, outputs, monte_carlo=chances, **more)
 
@@ -159,7 +167,7 @@ def needle3d(
 def run(
     name: str,
     own: dict[str, Any],
-    bodies: list[dict[str, Any]],
+    bodies: list[tuple[str, dict[str, Any]]],
     planner: dict[str, Any],
     given: dict[str, Any],
     outputs: Outputs,
@@ -167,13 +175,20 @@ def run(
     monte_carlo: dict[str, Any] | None = None,
     events: list[Any] | None = None,
 ) -> None:
-    """Make the case of the options, plan it, print the outcome and exit."""
+    """Make the case of the options, plan it, print the outcome and exit; `bodies` are obstacles, each with its option."""
     tables = {"planner": {"name": name, **planner}, name: own, "input": given, "monte_carlo": monte_carlo or {}}
     made: dict[str, Any] = {
         key: {option: value for option, value in table.items() if value is not None} for key, table in tables.items()
     }
-    made = {key: table for key, table in made.items() if table} | {"obstacles": bodies}
-    plan_and_exit(make_case(made if events is None else made | {"events": events}, name="options"), outputs)
+    made = {key: table for key, table in made.items() if table} | {"obstacles": [body for _, body in bodies]}
+    try:
+        case = make_case(made if events is None else made | {"events": events}, name="options")
+    except CaseError as fault:
+        place = re.fullmatch(r"options \[\[obstacles\]\] (\d+):? ?(.*)", str(fault), re.DOTALL)
+        if place is None or int(place[1]) > len(bodies):  # one that the CT's own options ask for comes last
+            raise
+        raise CaseError(f"{bodies[int(place[1]) - 1][0]}: {place[2]}") from None
+    plan_and_exit(case, outputs)
 
 
 def numbers(option: str, text: str, expected: str) -> list[float]:
@@ -181,7 +196,7 @@ def numbers(option: str, text: str, expected: str) -> list[float]:
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise CaseError(f"--{option} is {text!r}, expected {expected}") from None
+        raise CaseError(f"--{option}: found {text!r}, expected {expected}") from None
 
 
 def ball(kind: str, text: str, count: int) -> dict[str, Any]:
@@ -189,7 +204,7 @@ def ball(kind: str, text: str, count: int) -> dict[str, Any]:
     expected = f"{count} numbers in mm: the centre and the radius"
     values = numbers(kind, text, expected)
     if len(values) != count:
-        raise CaseError(f"--{kind} is {text!r}, expected {expected}")
+        raise CaseError(f"--{kind}: found {text!r}, expected {expected}")
     return {"kind": kind, "center": values[:-1], "radius_mm": values[-1]}
 
 
@@ -198,7 +213,7 @@ def places(option: str, text: str, size: int, least: int) -> list[list[float]]:
     expected = f"{least} numbers in mm or more, {size} for each corner"
     values = numbers(option, text, expected)
     if len(values) < least or len(values) % size:
-        raise CaseError(f"--{option} is {text!r}, expected {expected}")
+        raise CaseError(f"--{option}: found {text!r}, expected {expected}")
     return [values[k : k + size] for k in range(0, len(values), size)]
 
 
@@ -207,6 +222,6 @@ def rod(text: str) -> dict[str, Any]:
     expected = "X,Y,Z of two points or more and the radius, in mm"
     values = numbers("capsule", text, expected)
     if len(values) < 7 or len(values) % 3 != 1:
-        raise CaseError(f"--capsule is {text!r}, expected {expected}")
+        raise CaseError(f"--capsule: found {text!r}, expected {expected}")
     points = [values[k : k + 3] for k in range(0, len(values) - 1, 3)]
     return {"kind": "capsule", "points": points, "radius_mm": values[-1]}

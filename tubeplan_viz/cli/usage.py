@@ -34,7 +34,7 @@ KEYS = {
 }
 UNIT = re.compile(r"_(mm|deg|percent)$")
 # ``options [table] key: ...`` and ``NAME.toml [table] key: ...`` of the readers, ``key is ...`` of settings.
-READER = re.compile(r"(?P<where>options|\S+\.toml)(?: \[\w+\])? (?P<key>\w+): (?P<rest>.*)", re.DOTALL)
+READER = re.compile(r"(?P<where>options|\S+\.toml)(?: \[\w+\]| \[\[\w+\]\] \d+)? (?P<key>\w+): (?P<rest>.*)", re.DOTALL)
 SETTING = re.compile(r"(?P<key>\w+) (?P<rest>(?:is|are|was) .*)", re.DOTALL)
 
 
