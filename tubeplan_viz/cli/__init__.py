@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+
+from tubeplan_viz.interrupts import ending_like_ctrl_c
 
 __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the status that the README lists."""
-    # Imported here: each process that a command starts reads this module again, and needs none of the commands.
-    from tubeplan_viz.cli.app import main as run
+    with ending_like_ctrl_c():
+        try:
+            # Imported here: each process that a command starts reads this module again, and needs none of the commands.
+            from tubeplan_viz.cli.app import status_of
 
-    run(arguments)
+            status = status_of(arguments)
+        except KeyboardInterrupt:  # while the commands were read, or after the end of one
+            sys.stderr.write("tubeplan: interrupted\n")
+            status = 130
+    sys.exit(status)

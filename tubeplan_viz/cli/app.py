@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Annotated, cast
 
@@ -92,11 +91,6 @@ def command_tree() -> TyperGroup:
     add_late(plans, PLANS)
     root.add_command(plans)
     return root
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the status that the README lists."""
-    sys.exit(status_of(arguments))
 
 
 def status_of(arguments: Sequence[str] | None = None) -> int:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from segmentation.errors import CaseError
+from tubeplan_viz.interrupts import ending_like_ctrl_c
 from tubeplan_viz.recording import WebViewer, has_display, show_native
 from tubeplan_viz.result import RunFolderError, is_run, not_a_run
 
@@ -35,7 +32,7 @@ def view(
     Example: tubeplan view run
     """
     recording = recording_of(run_folder)
-    with ended_by_signal():
+    with ending_like_ctrl_c():
         try:
             if has_display() and not (web or no_browser):
                 show_native(recording, port=port)
@@ -75,17 +72,3 @@ def serve(recording: Path, *, port: int, browser: bool) -> None:
         if browser and has_display():
             webbrowser.open(viewer.url)
         viewer.wait()
-
-
-@contextmanager
-def ended_by_signal() -> Iterator[None]:
-    """A request to terminate ends the view like Ctrl-C, so that no viewer is left behind."""
-
-    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

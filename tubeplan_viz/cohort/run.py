@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 from segmentation.errors import CaseError
 from tubeplan_viz import __version__
@@ -25,6 +21,7 @@ from tubeplan_viz.cohort.state import Wanted, case_key, forget, result_digest, s
 from tubeplan_viz.cohort.summary import SUMMARY_FILES, cohort_document, row_of, write_summary
 from tubeplan_viz.cohort.tasks import Answer, CaseStatus, Cost, Task
 from tubeplan_viz.cohort.words import without_paths
+from tubeplan_viz.interrupts import ending_like_ctrl_c
 from tubeplan_viz.result import RESULT
 
 
@@ -113,7 +110,7 @@ def run_cohort(manifest: Manifest, folder: Path, settings: CohortSettings, *, wa
         On Ctrl-C and on requests to terminate: finished cases are whole, of others nothing is left.
     """
     begun = time.monotonic()
-    with Journal(folder) as journal, interruptible():
+    with Journal(folder) as journal, ending_like_ctrl_c():
         for name in SUMMARY_FILES:  # a summary that is there tells of the whole cohort
             (folder / name).unlink(missing_ok=True)
         call_back(folder)
@@ -136,25 +133,6 @@ def run_cohort(manifest: Manifest, folder: Path, settings: CohortSettings, *, wa
         )
         write_summary(document, folder)
     return document
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Requests to terminate as Ctrl-C, so that the workers are ended in order."""
-    held: dict[signal.Signals, Any] = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                held[number] = signal.signal(number, _interrupt)
-    try:
-        yield
-    finally:
-        for number, handler in held.items():
-            signal.signal(number, handler)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt(signal.Signals(number).name)
 
 
 @dataclass(kw_only=True)

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, NoReturn, Self
 
+from tubeplan_viz.interrupts import ENDING_SIGNALS, interrupt, ours_to_handle
 from tubeplan_viz.result.document import SOFTWARE, plain, result_text
 from tubeplan_viz.result.errors import RunFolderError
 from tubeplan_viz.result.schema import validate_result
@@ -42,7 +43,6 @@ FULL = {
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "a file would exceed the size limit",
 }
-ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class RunFolder:
@@ -88,7 +88,7 @@ class RunFolder:
         self._partial: Path | None = None
         self._finished = False
         self._interrupted = False
-        self._handlers: dict[signal.Signals, Any] = {}
+        self._handlers: dict[int, Any] = {}
 
     @property
     def name(self) -> str:
@@ -254,12 +254,12 @@ class RunFolder:
         if threading.current_thread() is not threading.main_thread():
             return
         for number in ENDING_SIGNALS:
-            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            if ours_to_handle(number):
                 self._handlers[number] = signal.signal(number, self._interrupt)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> NoReturn:
         self._interrupted = True
-        raise KeyboardInterrupt(signal.Signals(number).name)
+        interrupt(number, frame)
 
     def check_interrupted(self) -> None:
         """Raise the interruption again, should a library have swallowed it.
