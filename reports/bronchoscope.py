@@ -1,4 +1,4 @@
-"""The pages of the bronchoscope robot: one plan with its stages and steps, and the reach map of a whole airway."""
+"""The page of the bronchoscope robot: one plan with its stages and steps."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from reports import workspace
 from reports.derived import derived_values
 from reports.figures import Steps, step_chart
 from reports.folds import Fold, folds
-from reports.numbers import Phrase, Source, phrase, printed
-from reports.parts import Drawing, Key, PlanPage, Table, place_keys
+from reports.numbers import Phrase, Source, phrase, printed, sentence
+from reports.parts import Drawing, Key, PlanPage, Table, place_keys, with_article
 from reports.still import Label, View, choose_view, still_picture
 from reports.svg import in_all_widths
 from reports.tables import DASH, or_dash
@@ -27,8 +27,6 @@ from segmentation.mesh import Surface
 from tubeplan_viz.endoluminal import Still
 
 WORDS = {"ok": "Reached", "flagged": "Flagged", "infeasible": "Not reached"}
-REACH_WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "bend", "collision": "collision"}
-REACH_KINDS = {"reached": "goal", "diameter": "curvature", "bend": "clearance", "collision": "clearance"}
 PLACES = 2
 
 
@@ -70,9 +68,9 @@ def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Sur
         status=status,
         word=WORDS[status],
         line=f"Bronchoscope robot, {result['planner']['method']} plan",
-        headline=_headline(details),
+        headline=_headline(result),
         lead=_lead(source),
-        warnings=tuple(str(text) for text in details.get("warnings") or ()),
+        warnings=tuple(sentence(str(text)) for text in details.get("warnings") or ()),
         keys=_keys(source),
         views_title="Way of the tip",
         views_line="The track of the tip through the airway, with the sub-goals of the stages. " + str(details["assumption"]),
@@ -92,9 +90,13 @@ def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Sur
     )
 
 
-def _headline(details: Mapping[str, Any]) -> Phrase:
-    name = details["target"]["branch"]
-    return phrase(f"The robot reaches its target in {name}" if details["reached"] else f"The robot does not reach {name}")
+def _headline(result: Mapping[str, Any]) -> Phrase:
+    details = result["details"]
+    name = with_article(str(details["target"]["branch"]))
+    if not details["reached"]:
+        return phrase(f"The robot does not reach {name}")
+    broken = " but breaks a limit on the way" if result["status"] == "flagged" else ""
+    return phrase(f"The robot reaches its target in {name}{broken}")
 
 
 def _lead(source: Source) -> Phrase:
@@ -104,7 +106,7 @@ def _lead(source: Source) -> Phrase:
     disc = source.need("metrics.disc_clearance_end_mm", PLACES, "mm")
     tail = phrase("The tip ends ", error, " from the target, its front disc ", disc, " from the wall.")
     said = "" if reason is None else f" {str(reason)[:1].upper()}{str(reason)[1:]}."
-    return phrase(f"{route}. ", tail, said)
+    return phrase(f"{route[:1].upper()}{route[1:]}. ", tail, said)
 
 
 def _keys(source: Source) -> tuple[Key, ...]:
@@ -114,6 +116,7 @@ def _keys(source: Source) -> tuple[Key, ...]:
     )
     made = [
         Key("Tip error", phrase(source.need("metrics.tip_error_mm", PLACES, "mm")), phrase("distance of the tip to the target")),
+        *_place_keys(source),
         Key(
             "Robot",
             phrase(robot),
@@ -129,7 +132,6 @@ def _keys(source: Source) -> tuple[Key, ...]:
             phrase(source.need("metrics.length_mm", 1, "mm")),
             phrase("way of the tip from the entrance"),
         ),
-        *_place_keys(source),
     ]
     contacts = source.result["details"]["contacts"]
     steps = phrase(f"{len(source.result['details']['steps']) - 1} commands for both sections and the push")
@@ -282,90 +284,3 @@ def _steps(source: Source) -> Table:
     head = ("Step", "φ prox., °", "θ prox., °", "φ dist., °", "θ dist., °", "Push, mm", "Disc, mm", "Body, mm", "Stage")
     line = "What the drive does: bend φ in the plane θ for each section, then the push. The same numbers are in actuation.csv."
     return Table("steps", "Actuation", line, head, tuple(rows))
-
-
-def make_reach_page(document: Mapping[str, Any], surface: Surface) -> RobotPage:
-    """Everything that the page of a reach map shows; `document` is the content of reach.json."""
-    source = Source(document)
-    counts = document["counts"]
-    total = len(document["branches"])
-    labels, lines = [], []
-    for k, row in enumerate(document["branches"]):
-        place = row["deepest_mm"] if row["deepest_mm"] is not None else row["middle_mm"]
-        if row["verdict"] == "reached" and row["leaf"]:
-            labels.append(Label(np.asarray(place, float), row["name"], "goal", 10 + k))
-        elif row["verdict"] != "reached":
-            labels.append(Label(np.asarray(place, float), row["name"], REACH_KINDS[row["verdict"]], k))
-        name = {"reached": "still-path", "diameter": "still-flag curvature"}.get(row["verdict"], "still-flag clearance")
-        reached, beyond = parted(np.asarray(row["points_mm"], float), float(row["depth_mm"] or 0.0))
-        lines += [(kind, line) for kind, line in (("still-path", reached), (name, beyond)) if len(line) > 1]
-    mesh = light_mesh(surface)
-    words = (
-        f"The airway with {counts['reached']} branches that the robot reaches and {total - counts['reached']} that it does not"
-    )
-    # A mesh says not what is up: the entrance is, as of an airway that hangs from its trachea.
-    entrance, tips = lines[0][1][:1], np.mean([line[-1] for _, line in lines], axis=0)
-    view = choose_view(np.vstack([tips, mesh.vertices, entrance]), str(document["frame"]))
-    still, scene = _Picture(mesh, np.empty((0, 3)), tuple(labels), view, words, tuple(lines)).shown(start=0)
-    unproved = counts["bend"] + counts["collision"]
-    return RobotPage(
-        title=f"Reach: case {document['case_id']}",
-        case_id=str(document["case_id"]),
-        status="ok" if unproved == 0 else "flagged",
-        word="Reach map",
-        line=f"Bronchoscope robot of {document['robot']['diameter_mm']:g} mm",
-        headline=phrase(f"{counts['reached']} of {total} branches are reached"),
-        lead=phrase(_reach_sentence(counts["diameter"], unproved)),
-        warnings=tuple(str(text) for text in document["warnings"]),
-        keys=(),
-        views_title="Airway",
-        views_line="Blue: as far as the tip comes. Red: beyond it in a branch refused with a proof. Orange: without a proof.",
-        frame=str(document["frame"]),
-        still=still,
-        scene=scene,
-        profiles={},
-        units={},
-        narrowest=None,
-        ramp=None,
-        charts=(),
-        tables=(_branches(source),),
-        folds=(),
-        foot=str(document["rule"]),
-    )
-
-
-def parted(points: FloatArray, depth: float) -> tuple[FloatArray, FloatArray]:
-    """A line, (n, 3) mm, up to `depth` mm from its beginning and from there on; either may have one point or none."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    at = float(np.clip(depth, 0.0, arc[-1]))
-    here = np.array([[np.interp(at, arc, axis) for axis in points.T]])
-    return np.vstack([points[arc < at], here]), np.vstack([here, points[arc > at]])
-
-
-def _reach_sentence(narrow: int, unproved: int) -> str:
-    """What keeps the robot out of the branches that it does not reach."""
-    if not narrow and not unproved:
-        return "No branch is too narrow for the robot, and a way into every one was found."
-    if not unproved:
-        return f"{narrow} {'is' if narrow == 1 else 'are'} proved too narrow: every refusal is proved by the geometry."
-    return f"{narrow or 'None'} {'is' if narrow in (0, 1) else 'are'} proved too narrow; into {unproved} no way was found."
-
-
-def _branches(source: Source) -> Table:
-    names = (
-        ("generation", 0),
-        ("diameter_mm", 1),
-        ("least_diameter_mm", 1),
-        ("length_mm", 1),
-        ("turn_deg", 0),
-        ("depth_mm", 1),
-        ("confidence", 2),
-    )
-    rows = []
-    for k, row in enumerate(source.result["branches"]):
-        title = row["name"] + (f" ({row['label']})" if row["label"] else "")
-        why = REACH_WORDS[row["verdict"]] + ("" if row["reason"] is None else f": {row['reason']}")
-        rows.append((phrase(title), *_cells(source, f"branches.{k}", *names), phrase(why)))
-    head = ("Branch", "Gen.", "⌀, mm", "Least ⌀, mm", "Length, mm", "Turn, °", "Reached, mm", "Name", "Verdict and why")
-    line = "Reached: how far into the branch the tip comes. Name: confidence that the branch is called so."
-    return Table("branches", "Branches", line, head, tuple(rows))

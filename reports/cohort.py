@@ -8,7 +8,7 @@ from typing import Any
 
 from reports.cohort_charts import KINDS, cohort_charts
 from reports.folds import Fact, Fold
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
+from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, sentence
 from reports.parts import Drawing
 
 # Status of a case -> icon, word on the page, and how the sentence at the top counts it.
@@ -195,8 +195,7 @@ def _limited(source: Source, key: str, limit_key: str, digits: int, unit: str) -
     if value is None:
         return phrase("–")
     if limit is not None:
-        apart = digits_apart(value, limit, digits)
-        digits = apart if printed(value, apart) != printed(limit, apart) else digits
+        digits = digits_apart(value, limit, digits)
     return phrase(source.need(key, digits), ", ", source.figure(limit_key, digits) or "no limit", f" {unit}")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.folds import Fact, Fold
-from reports.numbers import Figure, Phrase, Source, phrase, printed
+from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
 from reports.still import Label, choose_view, still_picture
 from reports.wall import light_mesh
 from segmentation.mesh import Surface
@@ -104,8 +104,11 @@ def make_matrix_page(document: Mapping[str, Any], surface: Surface) -> MatrixPag
     if 0 < best.reached < len(labels):
         said.append(f"most targets are reached by {best.name}: {best.reached} of {len(labels)}")
     elif best.reached == len(labels):
-        all_there = sum(row.reached == len(labels) for row in rows)
-        said.append(f"{all_there} of them {'reaches' if all_there == 1 else 'reach'} every target")
+        all_there = [i for i, row in enumerate(rows) if row.reached == len(labels)]
+        thickest = max(all_there, key=lambda i: float(document["instruments"][i]["outer_diameter_mm"]))
+        said.append(f"{len(all_there)} of them {'reaches' if len(all_there) == 1 else 'reach'} every target")
+        if len(all_there) > 1:
+            said[-1] += f", the thickest of these is {rows[thickest].name}"
     return MatrixPage(
         title=f"Instruments: case {document['case_id']}",
         heading=heading,
@@ -114,7 +117,7 @@ def make_matrix_page(document: Mapping[str, Any], surface: Surface) -> MatrixPag
         frame=str(document["frame"]),
         status=str(document["status"]),
         counts=tuple((ICONS[name], WORDS[name], source.need(f"counts.{name}", 0)) for name in ICONS),
-        warnings=tuple(str(text) for text in document["warnings"]),
+        warnings=tuple(sentence(str(text)) for text in document["warnings"]),
         labels=labels,
         rows=rows,
         rule=str(document["rule"]),
@@ -157,10 +160,16 @@ def _cell(source: Source, i: int, j: int) -> CellView:
         verdict=cell["verdict"],
         icon=ICONS[cell["verdict"]],
         word=WORDS[cell["verdict"]],
-        margin=source.figure(f"{key}.margin_mm", 2, "mm", signed=True),
+        margin=_margin(source, f"{key}.margin_mm"),
         more=more,
         reason=str(cell["reason"]),
     )
+
+
+def _margin(source: Source, key: str) -> Figure | None:
+    """A margin with as many decimals as tell it from none: what does not fit never shows 0.00."""
+    value = source.value(key)
+    return None if value is None else source.need(key, digits_apart(value, 0.0, 2), "mm", signed=True)
 
 
 def _target(source: Source, rows: tuple[RowView, ...], j: int) -> TargetView:
@@ -200,25 +209,35 @@ def _hindrances(document: Mapping[str, Any]) -> tuple[Hindrance, ...]:
                 other.append(said)
         if too_thick:
             place = CEILING_PLACES.get(target["ceiling_end"] or "", "on every way there")
-            why = (
-                f"{place} the lumen leaves {printed(target['ceiling_mm'], 2)} mm at most, at {_point(target['ceiling_point_mm'])}"
-            )
-            narrow.append(_kept_out(too_thick, label, why, "thicker"))
+            left, needed = _apart(target["ceiling_mm"], too_thick)
+            why = f"{place} the lumen leaves {left} mm at most, at {_point(target['ceiling_point_mm'])}"
+            narrow.append(_kept_out(too_thick, label, why, needed, "thicker"))
         for number, kept_out in too_stiff.items():
             bend = document["bends"][j][number]
+            left, needed = _apart(bend["clearance_upper_bound_mm"], kept_out)
             why = (
-                f"the bend at {_point(bend['point_mm'])} leaves {printed(bend['clearance_upper_bound_mm'], 2)} mm at most "
+                f"the bend at {_point(bend['point_mm'])} leaves {left} mm at most "
                 f"at a bend radius of {printed(1.0 / bend['curvature_max_per_mm'], 1)} mm or more"
             )
-            sharp.append(_kept_out(kept_out, label, why, "more"))
+            sharp.append(_kept_out(kept_out, label, why, needed, "more"))
     return (*flagged, *sharp, *narrow, *other)
 
 
-def _kept_out(instruments: list[Mapping[str, Any]], label: str, why: str, others: str) -> Hindrance:
+def _thinnest(instruments: list[Mapping[str, Any]]) -> Mapping[str, Any]:
+    return min(instruments, key=lambda one: float(one["outer_diameter_mm"]))
+
+
+def _apart(left: float, kept_out: list[Mapping[str, Any]]) -> tuple[str, str]:
+    """The clearance that is left and the radius of the thinnest that needs more, mm, with decimals that tell them apart."""
+    needed = 0.5 * float(_thinnest(kept_out)["outer_diameter_mm"])
+    digits = digits_apart(left, needed, 2)
+    return printed(left, digits), printed(needed, digits)
+
+
+def _kept_out(instruments: list[Mapping[str, Any]], label: str, why: str, needed: str, others: str) -> Hindrance:
     """All instruments that one proof keeps from a target, by the name of the thinnest."""
-    thinnest = min(instruments, key=lambda one: float(one["outer_diameter_mm"]))
-    names = str(thinnest["name"]) + (f" and {len(instruments) - 1} {others}" if len(instruments) > 1 else "")
-    required = f"{printed(0.5 * thinnest['outer_diameter_mm'], 2)} mm{' or more' if len(instruments) > 1 else ''} are required"
+    names = str(_thinnest(instruments)["name"]) + (f" and {len(instruments) - 1} {others}" if len(instruments) > 1 else "")
+    required = f"{needed} mm{' or more' if len(instruments) > 1 else ''} are required"
     return Hindrance("impossible", ICONS["impossible"], names, label, f"proved: {why}; {required}")
 
 

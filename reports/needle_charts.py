@@ -16,7 +16,7 @@ from segmentation.arrays import FloatArray
 
 TALL = 190
 BINS = 24
-GOAL_WIDTHS = {"wide": 400, "narrow": 350, "print": 372}  # px; three beside each other on a wide page
+GOAL_WIDTHS = {"wide": 400, "narrow": 350, "print": 250}  # px; three beside each other on a wide page and in print
 GOALS = (("error_mm", "Tip error", "mm"), ("length_mm", "Length", "mm"), ("danger", "Danger", ""))
 
 

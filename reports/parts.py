@@ -66,3 +66,8 @@ class Table:
     rows: tuple[tuple[Phrase, ...], ...]
     note: str = ""
     drawing: Markup | None = None
+
+
+def with_article(name: str) -> str:
+    """The name of a branch within a sentence: those that have no name of their own are only numbered."""
+    return name if name.startswith("branch") else f"the {name}"

@@ -15,12 +15,13 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from reports.bronchoscope import make_bronchoscope_page, make_reach_page
+from reports.bronchoscope import make_bronchoscope_page
 from reports.cohort import make_cohort_page
 from reports.comparison import make_comparison_page
 from reports.matrix import make_matrix_page
 from reports.needle import make_needle_page
 from reports.needle_ct import Surroundings
+from reports.reach import make_reach_page
 from reports.rigid import make_rigid_page
 from reports.views import make_page
 from segmentation.arrays import BoolArray
@@ -44,12 +45,25 @@ def _part(*names: str) -> str:
 @cache
 def _environment() -> jinja2.Environment:
     # autoescape=True and not select_autoescape(): that one leaves *.html.j2 unescaped.
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(lambda name: _part("templates", name)),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+    environment.filters["css_string"] = css_string
+    return environment
+
+
+def css_string(text: str) -> Markup:
+    """Text between the quotes of a string in a style sheet: all but plain letters, figures and spaces as code points.
+
+    Examples
+    --------
+    >>> print(css_string("neck-2"))
+    neck\\2d 2
+    """
+    return Markup("".join(c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):x} " for c in text))
     )
 
 
@@ -205,7 +219,6 @@ def render_bronchoscope(case_id: str, result: Mapping[str, Any], surface: Surfac
         page=page,
         result_json=embedded(result),
         scene_json=embedded(page.scene),
-        json_id="tubeplan-result",
     )
 
 
@@ -220,13 +233,11 @@ def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
     page = make_reach_page(document, surface)
     told = {key: document[key] for key in document if key != "branches"}
     return _filled(
-        "bronchoscope.html.j2",
+        "reach.html.j2",
         script=_plain(),
-        style=_style(),
+        style=_style() + _part("templates", "reach.css"),
         page=page,
-        result_json=embedded(told),
-        scene_json=embedded(page.scene),
-        json_id="tubeplan-reach",
+        reach_json=embedded(told),
     )
 
 
