@@ -13,7 +13,8 @@ from rich.table import Table
 from segmentation.errors import CaseError
 from segmentation.images import inspect_path
 from segmentation.mesh_files import inspect_mesh
-from tubeplan_viz.cli.options import Json
+from tubeplan_viz.cli.options import Json, Quiet
+from tubeplan_viz.cli.show import progress
 
 MESHES = (".stl", ".ply", ".obj", ".glb")
 
@@ -22,6 +23,7 @@ def inspect(
     path: Annotated[Path, typer.Argument(help="DICOM folder, volume file or mesh file.")],
     pixels: Annotated[bool, typer.Option("--pixels", help="Decode every DICOM slice too and name damaged ones.")] = False,
     json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """List what is in a DICOM folder, volume or mesh: series, geometry, faults.
 
@@ -29,7 +31,12 @@ def inspect(
     """
     if not path.exists():
         raise CaseError(f"{path.name}: no such file or folder")
-    found = inspect_mesh(path) if path.suffix.lower() in MESHES else inspect_path(path, pixels=pixels)
+    with progress(quiet or json) as notify:
+
+        def read(done: int, count: int) -> None:
+            notify("read headers", done, count)
+
+        found = inspect_mesh(path) if path.suffix.lower() in MESHES else inspect_path(path, pixels=pixels, progress=read)
     if json:
         typer.echo(json_text.dumps(found, indent=1))
         return

@@ -13,6 +13,7 @@ from tubeplan_viz.result import result_schema
 
 def schema(
     json: Annotated[bool, typer.Option("--json", help="Print the JSON Schema itself (2020-12).")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", hidden=True)] = False,  # as every command; there is no progress
 ) -> None:
     """List the keys of result.json with their types and meanings.
 

@@ -9,12 +9,13 @@ from typing import Annotated
 import typer
 
 from tubeplan_viz.cli.options import Json
-from tubeplan_viz.verify import verify_run
+from tubeplan_viz.verify import Check, verify_run
 
 
 def verify(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder.")],
     json: Json = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only the checks that do not hold, and how many do.")] = False,
 ) -> None:
     """Check curvature, clearance, inside-ness, ends, frame and every printed number again.
 
@@ -22,12 +23,15 @@ def verify(
 
     Example: tubeplan verify run
     """
-    verification = verify_run(run_folder)
+
+    def show(check: Check) -> None:
+        if not (json or (quiet and check.ok)):
+            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
+
+    verification = verify_run(run_folder, seen=show)
     if json:
         typer.echo(json_text.dumps(verification.as_dict(), indent=1))
     else:
-        for check in verification.checks:
-            typer.echo(f"{'ok  ' if check.ok else 'FAIL'}  {check.name}: {check.sentence}")
-        failed = sum(not check.ok for check in verification.checks)
-        typer.echo(f"{len(verification.checks) - failed} of {len(verification.checks)} checks hold")
+        holding = sum(check.ok for check in verification.checks)
+        typer.echo(f"{holding} of {len(verification.checks)} checks hold")
     raise typer.Exit(0 if verification.holds else 3)

@@ -21,6 +21,7 @@ def view(
     web: Annotated[bool, typer.Option("--web", help="The web viewer even where there is a display.")] = False,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Serve and print the address, open no browser.")] = False,
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of 127.0.0.1; 0 for any free one.")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the address alone.")] = False,
 ) -> None:
     """Open a run's recording in the rerun viewer.
 
@@ -37,9 +38,9 @@ def view(
             if has_display() and not (web or no_browser):
                 show_native(recording, port=port)
             else:
-                serve(recording, port=port, browser=not no_browser)
+                serve(recording, port=port, browser=not no_browser, quiet=quiet)
         except KeyboardInterrupt:
-            typer.echo("view ended", err=True)
+            tell("view ended", quiet=quiet)
 
 
 def recording_of(folder: Path) -> Path:
@@ -63,11 +64,17 @@ def recording_of(folder: Path) -> Path:
     return recording
 
 
-def serve(recording: Path, *, port: int, browser: bool) -> None:
+def tell(words: str, *, quiet: bool) -> None:
+    """Say on standard error how the view goes, unless it is to be quiet."""
+    if not quiet:
+        typer.echo(words, err=True)
+
+
+def serve(recording: Path, *, port: int, browser: bool, quiet: bool) -> None:
     """Serve the web viewer until interrupted."""
     with WebViewer(recording, port=port) as viewer:
         typer.echo(viewer.url)
-        typer.echo("served to this machine alone; open the address in a browser, end with Ctrl-C", err=True)
+        tell("served to this machine alone; open the address in a browser, end with Ctrl-C", quiet=quiet)
         # Without a display `webbrowser` may start a browser in the terminal, which cannot show this page.
         if browser and has_display():
             webbrowser.open(viewer.url)

@@ -40,7 +40,7 @@ LONGEST_MM = 5000.0
 Content = TypeVar("Content")
 
 
-def verify_run(folder: Path) -> Verification:
+def verify_run(folder: Path, *, seen: Callable[[Check], None] = lambda _: None) -> Verification:
     """Check a finished plan again by other means than those that made it.
 
     Nothing of the planners, their curves or their distances is used: the spline is
@@ -53,6 +53,8 @@ def verify_run(folder: Path) -> Verification:
     ----------
     folder : Path
         A run folder, whole.
+    seen : callable
+        Called with each check when it is done.
 
     Returns
     -------
@@ -64,7 +66,11 @@ def verify_run(folder: Path) -> Verification:
         If the folder has no result.json that tubeplan wrote.
     """
     result = _read_result(folder)
-    return Verification(run=folder.resolve().name, checks=tuple(_whole(_checks(folder, result))))
+    checks = []
+    for check in _whole(_checks(folder, result)):
+        seen(check)
+        checks.append(check)
+    return Verification(run=folder.resolve().name, checks=tuple(checks))
 
 
 def _whole(checks: Iterator[Check]) -> Iterator[Check]:

@@ -211,7 +211,12 @@ def test_a_run_has_all_its_files_and_is_verified(whole_run: Path, tubeplan: Call
     done = tubeplan("verify", whole_run, "--json")
     assert done.status == 0
     assert done.document["holds"] is True
-    assert "checks hold" in tubeplan("verify", whole_run).out
+    count = len(verification.checks)
+    said = f"{count} of {count} checks hold\n"
+    shown = tubeplan("verify", whole_run).out
+    assert shown.endswith(said)
+    assert shown.count("ok  ") == count
+    assert tubeplan("verify", whole_run, "--quiet").out == said
 
 
 def test_verify_ends_with_3_when_a_number_was_edited(whole_run: Path, tubeplan: Call, tmp_path: Path) -> None:
@@ -223,6 +228,8 @@ def test_verify_ends_with_3_when_a_number_was_edited(whole_run: Path, tubeplan: 
     done = tubeplan("verify", copy)
     assert done.status == 3
     assert "FAIL" in done.out
+    quiet = tubeplan("verify", copy, "--quiet").out.splitlines()
+    assert quiet == [line for line in done.out.splitlines() if not line.startswith("ok  ")]
 
 
 def test_the_case_file_of_a_run_gives_the_same_plan_number_for_number(whole_run: Path, tubeplan: Call) -> None:

@@ -29,6 +29,15 @@ def test_the_line_in_the_list_is_the_commands_own(place: str, summary: str) -> N
     assert told.splitlines()[0] == summary
 
 
+@pytest.mark.parametrize("words", [*([name] for name in COMMANDS), *(["plan", name] for name in PLANS)], ids=" ".join)
+def test_every_command_can_be_quiet_and_has_an_example(words: list[str]) -> None:
+    place, _ = (PLANS if words[0] == "plan" else COMMANDS)[words[-1]]
+    module, function = place.split(":")
+    command = getattr(import_module(f"tubeplan_viz.cli.{module}"), function)
+    assert f"Example: tubeplan {' '.join(words)}" in " ".join((inspect.getdoc(command) or "").split())
+    assert status_of([*words, "--quiet", "--help"]) == 0
+
+
 def test_the_package_runs_as_a_module_too() -> None:
     done = subprocess.run([sys.executable, "-m", "tubeplan_viz", "--version"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, f"tubeplan {__version__}")
