@@ -24,10 +24,9 @@ from reports.needle_ct import Surroundings
 from reports.reach import make_reach_page
 from reports.rigid import make_rigid_page
 from reports.views import make_page
-from segmentation.arrays import BoolArray
+from segmentation.anatomy.nasal import NasalScene
 from segmentation.errors import TubeplanError
 from segmentation.mesh import Surface
-from segmentation.volume import Volume
 from tubeplan_viz.endoluminal import Still
 from tubeplan_viz.result import Comparison, Review
 
@@ -241,7 +240,7 @@ def render_reach(document: Mapping[str, Any], surface: Surface) -> str:
     )
 
 
-def render_rigid(case_id: str, result: Mapping[str, Any], volume: Volume, structures: Mapping[str, BoolArray]) -> str:
+def render_rigid(case_id: str, result: Mapping[str, Any], head: NasalScene) -> str:
     """The report of one rigid run as HTML, without outside references; parameters as `make_rigid_page`.
 
     Raises
@@ -249,8 +248,15 @@ def render_rigid(case_id: str, result: Mapping[str, Any], volume: Volume, struct
     ReportError
         If the result holds numbers that are not finite.
     """
-    page = make_rigid_page(case_id, result, volume, structures)
-    return _filled("rigid.html.j2", script=_plain(), style=_style(), page=page, result_json=embedded(result))
+    page = make_rigid_page(case_id, result, head)
+    return _filled(
+        "rigid.html.j2",
+        script=_part("scene", "dist", "report.js"),
+        style=_style(),
+        page=page,
+        result_json=embedded(result),
+        scene_json=embedded(page.scene),
+    )
 
 
 def _plain() -> str:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
+from reports import workspace
 from reports.derived import derived_values
 from reports.folds import Fold, folds
-from reports.numbers import Figure, Phrase, Source, phrase, sentence
+from reports.numbers import Figure, Phrase, Source, phrase, printed, sentence
 from reports.parts import Drawing, Key, PlanPage
-from reports.rigid_drawings import LABEL_COLORS, corridor_view, entry_map, goals_chart, label_picture, profile_drawing
+from reports.rigid_drawings import LABEL_COLORS, corridor_view, distances_chart, entry_map, goals_chart, label_picture
+from reports.rigid_scene import rigid_scene
+from reports.svg import in_all_widths
 from reports.tables import or_dash
+from segmentation.anatomy.nasal import NasalScene
 from segmentation.arrays import BoolArray
 from segmentation.volume import Volume
 
@@ -39,11 +45,21 @@ class Part:
 class RigidPage(PlanPage):
     """What the template prints after the head, in its order."""
 
+    still: Markup
+    scene: Mapping[str, Any]
+    frame: str
+    scene_line: str
+    ramp: tuple[str, str] | None
+    narrowest: float | None
+    charts: Mapping[str, Markup]
+    units: Mapping[str, str]
+    distances: Markup
+    legend: tuple[tuple[str, str], ...]
     parts: tuple[Part, ...]
     folds: tuple[Fold, ...]
 
 
-def make_rigid_page(case_id: str, result: Mapping[str, Any], volume: Volume, structures: Mapping[str, BoolArray]) -> RigidPage:
+def make_rigid_page(case_id: str, result: Mapping[str, Any], head: NasalScene) -> RigidPage:
     """Everything that the page shows.
 
     Parameters
@@ -51,25 +67,27 @@ def make_rigid_page(case_id: str, result: Mapping[str, Any], volume: Volume, str
     case_id : str
     result : mapping
         The content of result.json.
-    volume : Volume
-        The CT; only planes through the lesion and the way are shown, cut to their surroundings.
-    structures : mapping of name to (slices, rows, columns) bool array
-        As planned with, after shrinkage.
+    head : NasalScene
+        As planned with, after shrinkage. Of the CT only planes through the lesion and the way are shown, cut to their
+        surroundings; of its surfaces only what lies inside the head.
     """
     source = Source(result, derived_values(result))
     status = str(result["status"])
     side = str(result["details"]["side"])
     parts = (
-        _pictures(result, volume, structures),
+        _pictures(result, head.volume, head.structures),
         _relief(source),
         _entry(source),
         _corridor(source),
-        _profile(source),
         _choices(source),
         _goals(source),
         _shrinkage(source),
         _labels(source),
     )
+    course = workspace.make_course(result["path"] or {}, None, 2)
+    tight = 0 if course is None or course.clearance is None else int(course.clearance.argmin())
+    ramp = None if course is None else workspace.roominess(course, source.value("limits.clearance_min_mm"))[0]
+    picture = rigid_scene(result, head, ramp, tight)
     return RigidPage(
         title=f"{WORDS[status]}: case {case_id}",
         case_id=case_id,
@@ -82,6 +100,16 @@ def make_rigid_page(case_id: str, result: Mapping[str, Any], volume: Volume, str
         lead=_lead(source, status),
         warnings=tuple(str(text) for text in result["details"].get("warnings") or ()),
         keys=_keys(source),
+        still=picture.still,
+        scene=picture.scene,
+        frame=str(result["frame"]),
+        scene_line=_scene_line(result),
+        ramp=None if ramp is None else (printed(ramp[0], 1), printed(ramp[1], 1)),
+        narrowest=None if course is None else float(course.arc[tight]),
+        charts={} if course is None else workspace.profiles(course, source, {}, kinds=("clearance",)),
+        units={"clearance": "mm from the instrument's surface to the nearest structure, by place of the tip"},
+        distances=Markup("") if course is None else in_all_widths(partial(distances_chart, result)),
+        legend=_scene_legend(result, head),
         parts=tuple(part for part in parts if part is not None),
         folds=folds(source, ()),
     )
@@ -251,17 +279,25 @@ def _corridor(source: Source) -> Part | None:
     )  # fmt: skip
 
 
-def _profile(source: Source) -> Part | None:
-    result = source.result
+def _scene_line(result: Mapping[str, Any]) -> str:
+    drawn = "Nasal cavity as glass, structures to keep clear of in their colours, every voxel of the entry region."
     if result["path"] is None:
-        return None
-    return Part(
-        id="distances",
-        title="Distance to each structure",
-        line="From the surface of endoscope or shaver, the tip at that place of the path.",
-        drawings=(Drawing("Distance, mm, over the way of the tip", profile_drawing(result)),),
-        legend=_legend(list(result["details"]["structure_distances_mm"])),
+        return drawn
+    return drawn + (
+        " The instrument stands with its tip at the cursor: drag along the charts. The line from the endoscope is its direction "
+        "of view; the ring marks where the distance is least. Shafts are cut outside the nose."
     )
+
+
+def _scene_legend(result: Mapping[str, Any], head: NasalScene) -> tuple[tuple[str, str], ...]:
+    counts = result["details"]["entry"]["counts"]
+    groups = (
+        ("start with a path", counts["feasible"], "var(--holds)"),
+        ("start without", counts["starts"] - counts["feasible"], "var(--ink-3)"),
+    )
+    tools = (("endoscope", "var(--run-4)"), ("shaver", "var(--ink-3)")) if result["path"] is not None else ()
+    starts = tuple((f"{name} ({count})", color) for name, count, color in groups if count)
+    return (*_legend(list(head.structures)), *starts, *tools)
 
 
 def _choices(source: Source) -> Part | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from reports.slices import png
-from reports.svg import Axis, grid, nice_step, path_axis, tag, trace
+from reports.svg import LEFT, RIGHT, Axis, Width, chart, grid, nice_step, path_axis, tag, trace
 from segmentation.arrays import BoolArray, FloatArray
 from segmentation.volume import Volume
 
@@ -170,7 +170,7 @@ def corridor_view(result: Mapping[str, Any], axes: tuple[int, int], signs: tuple
     return _svg((float(size[0]), float(size[1])), "Instrument at each node, to scale", parts)
 
 
-def profile_drawing(result: Mapping[str, Any]) -> Markup:
+def distances_chart(result: Mapping[str, Any], width: Width) -> Markup:
     """Distances to the structures over arc length."""
     s = np.array(result["path"]["s_mm"], float)
     rows = {
@@ -180,9 +180,9 @@ def profile_drawing(result: Mapping[str, Any]) -> Markup:
     rows = {name: values for name, values in rows.items() if np.isfinite(values).any()}
     shown = min(30.0, max(float(np.nanmax(values)) for values in rows.values()))
     step = nice_step(shown, 4)
-    width, tall = 720.0, 230.0
-    x, y = Axis(0.0, float(s[-1]), 40.0, width - 12.0), Axis(0.0, step * np.ceil(shown / step), tall - 24.0, 12.0)
-    parts = [*grid((x.start, x.end), y, step), *path_axis(float(s[-1]), x, y.start, width - 52.0)]
+    wide, tall = width.plot, 190.0
+    x, y = Axis(0.0, float(s[-1]), LEFT, wide - RIGHT), Axis(0.0, step * np.ceil(shown / step), tall - 22.0, 12.0)
+    parts = [*grid((x.start, x.end), y, step), *path_axis(float(s[-1]), x, y.start, wide - LEFT - RIGHT)]
     limit = float(result["limits"]["clearance_min_mm"])
     if limit > 0.0:
         parts.append(tag("line", class_="limit", x1=x.start, x2=x.end, y1=y(limit), y2=y(limit)))
@@ -190,7 +190,21 @@ def profile_drawing(result: Mapping[str, Any]) -> Markup:
         keep = np.isfinite(values)
         line = Markup('<path class="rigid-line" style="stroke:{}" d="{}"><title>{}</title></path>')
         parts.append(line.format(LABEL_COLORS[name], trace(s[keep], values[keep], x, y), name.replace("_", " ")))
-    return _svg((width, tall), "Distance of the instrument to each structure along the path", parts)
+    told = ", ".join(f"{name.replace('_', ' ')} {np.nanmin(values):.2f}" for name, values in rows.items())
+    words = f"Distance of the instrument to each structure over arc length; least, mm: {told}."
+    return chart(width, (wide, tall), words, parts, kind="distance", y=y, marks=Markup(""))
+
+
+def place_in_the_way(details: Mapping[str, Any]) -> tuple[str, FloatArray] | None:
+    """The structure that blocks most straight pushes and the place of it nearest to the lesion; None where none is blocked."""
+    entry = details["entry"]
+    blocked = np.array(entry["blocked_by"], int)
+    if not (blocked >= 0).any():
+        return None
+    worst = int(np.bincount(blocked[blocked >= 0]).argmax())
+    places = np.array([place for place, k in zip(entry["blocked_at_mm"], blocked, strict=True) if k == worst], float)
+    nearest = places[np.linalg.norm(places - np.array(details["goal_mm"], float), axis=1).argmin()]
+    return str(entry["structures"][worst]).replace("_", " "), nearest
 
 
 def goals_chart(details: Mapping[str, Any]) -> Markup:

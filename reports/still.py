@@ -50,6 +50,23 @@ class Label:
     rank: int
 
 
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A further body of the scene: ``colour`` as ``#rrggbb``; `dense` hides most of what lies behind, else it is glass."""
+
+    mesh: LightMesh
+    colour: str
+    dense: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Dots:
+    """Places drawn as dots, (n, 3) mm, with their class of the style sheet."""
+
+    points: FloatArray
+    name: str
+
+
 def choose_view(points: FloatArray, frame: str) -> View:
     """From the front of the patient for LPS; for a mesh, facing the plane in which the points spread most.
 
@@ -79,6 +96,8 @@ def still_picture(
     words: str,
     *,
     lines: Sequence[tuple[str, FloatArray]] = (),
+    solids: Sequence[Solid] = (),
+    dots: Sequence[Dots] = (),
     most: int = 8,
 ) -> Markup:
     """The scene as one <svg>.
@@ -95,6 +114,9 @@ def still_picture(
         What the picture shows, for those who cannot see it.
     lines : sequence of (class, (n, 3) float array in mm)
         Further paths, each with its class of the style sheet.
+    solids : sequence of Solid
+        Further bodies, over the wall in this order; they do not decide how large the picture is drawn.
+    dots : sequence of Dots
     most : int
         Labels that are shown, those of least rank.
     """
@@ -114,9 +136,17 @@ def still_picture(
 
     parts: list[Markup] = []
     if mesh is not None:
-        pixels = np.column_stack([place(mesh.vertices) * SHARPNESS, shown[:, 2] * scale * SHARPNESS])
-        picture = _glass(pixels, mesh)
-        parts.append(Markup('<image width="{}" height="{}" href="{}"/>').format(WIDE, TALL, png(picture)))
+        layers = []
+        for body, colour, dense in ((mesh, WALL_RGB, False), *((s.mesh, _rgb(s.colour), s.dense) for s in solids)):
+            if len(body.faces):
+                depth = (body.vertices @ axes)[:, 2] * scale * SHARPNESS
+                layers.append(_glass(np.column_stack([place(body.vertices) * SHARPNESS, depth]), body, colour, dense=dense))
+        if layers:
+            picture = layers[0] if len(layers) == 1 else _over(layers)
+            parts.append(Markup('<image width="{}" height="{}" href="{}"/>').format(WIDE, TALL, png(picture)))
+    for some in dots:
+        spots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in place(some.points))
+        parts.append(tag("path", class_=f"still-dots {some.name}", d=spots))
     if len(path) > 1:
         line = place(path)
         parts.append(_line(line, "still-path"))
@@ -161,8 +191,30 @@ def _labels(labels: Sequence[Label], spots: FloatArray, drawn: FloatArray) -> li
     return parts
 
 
-def _glass(pixels: FloatArray, mesh: LightMesh) -> NDArray[np.uint8]:
-    """The wall as (h, w, 4) pixels: front and back layer, each dense where the wall is seen edge on.
+def _rgb(colour: str) -> tuple[int, int, int]:
+    """Red, green and blue of ``#rrggbb``.
+
+    Examples
+    --------
+    >>> _rgb("#0a10ff")
+    (10, 16, 255)
+    """
+    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def _over(layers: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Pictures laid over each other, the first one below."""
+    colour, cover = np.zeros((*layers[0].shape[:2], 3)), np.zeros((*layers[0].shape[:2], 1))
+    for layer in layers:
+        alpha = layer[..., 3:] / 255.0
+        colour = layer[..., :3] * alpha + colour * (1.0 - alpha)
+        cover = alpha + cover * (1.0 - alpha)
+    picture = np.concatenate([colour / np.maximum(cover, 1e-6), 255.0 * cover], axis=2)
+    return np.clip(picture, 0.0, 255.0).astype(np.uint8)
+
+
+def _glass(pixels: FloatArray, mesh: LightMesh, colour: tuple[int, int, int], *, dense: bool) -> NDArray[np.uint8]:
+    """A body as (h, w, 4) pixels: front and back layer, each dense where it is seen edge on; a dense one everywhere.
 
     Triangles are filled by points: each gets as many as its area asks for, and the
     nearest (or farthest) of those that fall on a pixel decides its density.
@@ -193,7 +245,8 @@ def _glass(pixels: FloatArray, mesh: LightMesh) -> NDArray[np.uint8]:
         lean.append((tilt[rows] @ weights.T).reshape(-1)[seen])
     where, away, facing_at = np.concatenate(flat), np.concatenate(depth), np.concatenate(lean)
     density = np.zeros(width * height)
-    for sign, face, rim in ((-1.0, 0.10, 0.30), (1.0, 0.06, 0.74)):  # farthest layer first, then the nearest over it
+    # The farthest layer first, then the nearest over it.
+    for sign, face, rim in ((-1.0, 0.10, 0.30), (1.0, 0.85, 0.15) if dense else (1.0, 0.06, 0.74)):
         best = np.full(width * height, -np.inf)
         np.maximum.at(best, where, sign * away)
         top = sign * away >= best[where]
@@ -201,6 +254,6 @@ def _glass(pixels: FloatArray, mesh: LightMesh) -> NDArray[np.uint8]:
         layer[where[top]] = face + rim * (1.0 - facing_at[top]) ** 3
         density += layer * (1.0 - density)
     picture = np.empty((height, width, 4), np.uint8)
-    picture[..., :3] = WALL_RGB
+    picture[..., :3] = colour
     picture[..., 3] = (density * 255).reshape(height, width).astype(np.uint8)
     return picture

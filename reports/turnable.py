@@ -23,6 +23,7 @@ def turnable(
     before: FloatArray | None = None,
     body: str = "--wall",
     words: str = "wall of the lumen, planned path, flagged parts",
+    aside: View | None = None,
 ) -> dict[str, Any]:
     """The scene's part of a page as JSON values; null where there is none.
 
@@ -43,7 +44,12 @@ def turnable(
         Colour of the glass, by its name in the style sheet.
     words : str
         What the scene shows, for those who cannot see it.
+    aside : View, optional
+        Where the viewer stands for the view from the side; the scene then opens with that one.
     """
+    stand = None if view is None else {"toward": rounded(view.toward), "up": rounded(view.up)}
+    if stand is not None and aside is not None:
+        stand["aside"] = rounded(aside.toward)
     return {
         "pad": [LEFT, RIGHT],
         "plot": {width.name: width.plot for width in WIDTHS},
@@ -53,7 +59,7 @@ def turnable(
         "ct": None,
         "windows": {},
         "rims": None,
-        "view": {"toward": rounded(view.toward), "up": rounded(view.up)} if view is not None else None,
+        "view": stand,
         "ramp": list(ramp) if ramp else None,
         "before": [] if before is None else [rounded(point, 2) for point in before[::2]],
         "labels": placed(labels),

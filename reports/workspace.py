@@ -78,14 +78,16 @@ def strip(course: Course, source: Source, parts: Sequence[Mapping[str, Any]]) ->
     return in_all_widths(lambda width: strip_chart(length, shares, flags, parts, words, width))
 
 
-def profiles(course: Course, source: Source, first: Mapping[str, Any]) -> dict[str, Markup]:
-    """The charts of clearance and curvature over arc length, those that apply."""
+def profiles(
+    course: Course, source: Source, first: Mapping[str, Any], *, kinds: Sequence[str] = ("clearance", "curvature")
+) -> dict[str, Markup]:
+    """The charts of clearance and curvature over arc length, those of `kinds` that apply; the last kind has the axis."""
     flags = source.result.get("flagged_intervals") or []
     before_arc = np.asarray(first["s_mm"], float) if first.get("s_mm") else None
     charts: dict[str, Markup] = {}
     asked, allowed = source.value("limits.clearance_min_mm"), source.value("limits.curvature_max_per_mm")
     for kind, values, limit in (("clearance", course.clearance, asked), ("curvature", course.curvature, allowed)):
-        if values is None:
+        if values is None or kind not in kinds:
             continue
         mine = [flag for flag in flags if flag["kind"] == kind]
         before = first.get(f"{kind}_{'mm' if kind == 'clearance' else 'per_mm'}")
@@ -96,7 +98,7 @@ def profiles(course: Course, source: Source, first: Mapping[str, Any]) -> dict[s
             values=values,
             limit=limit,
             flags=mine,
-            with_axis=kind == "curvature",
+            with_axis=kind == kinds[-1],
             **made,
             before_arc=before_arc if before else None,
             before=np.asarray(before, float) if before else None,

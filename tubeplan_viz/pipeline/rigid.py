@@ -111,8 +111,7 @@ def write_report(
 ) -> None:
     """The page, with the timings up to here."""
     result = assemble_result(content, timings_s=watch.seconds, provenance=provenance)
-    scene = plan.problem.scene
-    write_page(render_rigid(case.case_id or "case", result, scene.volume, scene.structures), path)
+    write_page(render_rigid(case.case_id or "case", result, plan.problem.scene), path)
 
 
 def load_head(case: RigidCase, watch: Stopwatch) -> RigidInput:

@@ -28,7 +28,8 @@ from tubeplan_viz.rigid import (
     structure_distances,
     up_of,
 )
-from tubeplan_viz.rigid.instrument import unit
+from tubeplan_viz.rigid.collision import structure_gaps, to_frame
+from tubeplan_viz.rigid.instrument import PARTS, unit
 from tubeplan_viz.rigid.judge import between
 
 SPACING = 0.2  # mm; result.json promises at most 0.25
@@ -135,6 +136,7 @@ def measured(problem: Problem, path: RigidPath, details: dict[str, Any]) -> dict
         name: [None if np.isnan(v) else round(v, 4) for v in near[:, k].tolist()] for k, name in enumerate(names)
     }
     clearance = np.nanmin(near, axis=1)
+    details["worst"] = worst_place(problem, path, s, points, directions, clearance)
     turns = turn_clearance(problem, path)
     least = float(min(clearance.min(), turns)) if turns is not None else float(clearance.min())
     if turns is not None:
@@ -292,6 +294,25 @@ def sampled(path: RigidPath, spacing: float = SPACING) -> tuple[FloatArray, Floa
         directions.append(np.broadcast_to(unit(b - a), (len(share), 3)))
         done += length
     return np.concatenate(s), np.vstack(points), np.vstack(directions)
+
+
+def worst_place(
+    problem: Problem, path: RigidPath, s: FloatArray, points: FloatArray, directions: FloatArray, clearance: FloatArray
+) -> dict[str, Any]:
+    """Where along the way the instrument is nearest to a structure: to which, how near, and at which place of it."""
+    k = int(clearance.argmin())
+    obstacles = problem.obstacles
+    structures = [j for j, name in enumerate(obstacles.names) if name != BORDER]
+    pose = posed(problem.instrument, points[k : k + 1], directions[k : k + 1], path.roll)
+    gaps = structure_gaps(obstacles, to_frame(pose, obstacles.frame), structures)
+    part, column = np.unravel_index(int(gaps.distance.argmin()), gaps.distance.shape)
+    return {
+        "s_mm": float(s[k]),
+        "structure": obstacles.names[column],
+        "part": PARTS[part],
+        "distance_mm": float(clearance[k]),
+        "place_mm": obstacles.frame.to_lps(gaps.place[part, column]),
+    }
 
 
 def turn_clearance(problem: Problem, path: RigidPath) -> float | None:

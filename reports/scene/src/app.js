@@ -64,12 +64,14 @@ if (slider) {
     const s = arc[i], c = curvature[i], r = clearance?.[i];
     const bend = c < 0.005 ? 'straight' : mm(1 / c);
     slider.value = i;
-    slider.setAttribute('aria-valuetext', `${mm(s)}, ${partAt(s)}${r === undefined ? '' : ` clearance ${mm(r, 2)},`} bend radius ${c < 0.005 ? 'over 200 mm' : bend}`);
+    slider.setAttribute('aria-valuetext', `${mm(s)}, ${partAt(s)}${r === undefined ? '' : ` clearance ${mm(r, 2)},`}${$('at-curvature') ? ` bend radius ${c < 0.005 ? 'over 200 mm' : bend}` : ''}`);
     $('at').textContent = mm(s);
     $('at-part').textContent = partAt(s) || `of ${mm(length)}`;
-    $('at-curvature').textContent = bend;
-    $('at-bend').textContent = `${c.toFixed(3)} 1/mm`;
-    $('at-curvature').parentElement.dataset.state = allowed !== null && c > allowed ? 'curvature' : '';
+    if ($('at-curvature')) { // a path of straight pieces has no bend radius
+      $('at-curvature').textContent = bend;
+      $('at-bend').textContent = `${c.toFixed(3)} 1/mm`;
+      $('at-curvature').parentElement.dataset.state = allowed !== null && c > allowed ? 'curvature' : '';
+    }
     if (r === undefined) return;
     $('at-clearance').textContent = mm(r, 2);
     $('at-margin').textContent = asked === null ? '' : `${signed(r - asked, 2)}\u00a0mm to limit`;
@@ -172,7 +174,7 @@ async function space() {
     const tight = rgb(css('--tight')), roomy = rgb(css('--roomy'));
     const share = (i) => (extra.ramp && clearance ? Math.max(0, Math.min(1, (clearance[i] - extra.ramp[0]) / (extra.ramp[1] - extra.ramp[0]))) : 0.5);
     const mix = (u) => { const t = share(Math.round(u * (count - 1))); return `rgb(${tight.map((v, i) => Math.round(v + (roomy[i] - v) * t)).join(',')})`; };
-    view3d.paint({ dark: dark(), wall: css(extra.body), solid: extra.body !== '--wall', clearance: mix, flagClearance: css('--clearance'), flagCurvature: css('--curvature'),
+    view3d.paint({ dark: dark(), named: (colour) => (colour.startsWith('--') ? css(colour) : colour), wall: css(extra.body), solid: extra.body !== '--wall', clearance: mix, flagClearance: css('--clearance'), flagCurvature: css('--curvature'),
       feature: css('--feature'), before: css('--before'), cursor: css('--ink'), surface: css('--surface') });
   };
   painters.push(paint);

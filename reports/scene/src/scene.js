@@ -1,7 +1,7 @@
 // The 3D scene: translucent wall, path coloured by clearance, flagged parts, feature points, cursor.
 import {
-  BackSide, BoxGeometry, BufferAttribute, BufferGeometry, CatmullRomCurve3, Color, ConeGeometry, FrontSide, Group,
-  Mesh, MeshBasicMaterial, MeshLambertMaterial, HemisphereLight, DirectionalLight, OctahedronGeometry,
+  BackSide, BoxGeometry, BufferAttribute, BufferGeometry, CatmullRomCurve3, Color, ConeGeometry, DoubleSide, FrontSide, Group,
+  InstancedMesh, Matrix4, Mesh, MeshBasicMaterial, MeshLambertMaterial, HemisphereLight, DirectionalLight, OctahedronGeometry,
   PerspectiveCamera, Quaternion, Scene, ShaderMaterial, SphereGeometry, TorusGeometry, TubeGeometry, Vector3, WebGLRenderer,
 } from 'three';
 import { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
@@ -27,13 +27,18 @@ const wallMaterial = (side) => new ShaderMaterial({
     }`,
 });
 
-function wall(mesh) {
-  const { low, high, vertices, faces } = mesh;
-  const position = Float32Array.from(vertices, (q, i) => low[i % 3] + (q / 65535) * (high[i % 3] - low[i % 3]));
+const placesOf = ({ low, high, vertices }) => Float32Array.from(vertices, (q, i) => low[i % 3] + (q / 65535) * (high[i % 3] - low[i % 3]));
+
+function shapeOf(mesh) {
   const geometry = new BufferGeometry();
-  geometry.setAttribute('position', new BufferAttribute(position, 3));
-  geometry.setIndex(new BufferAttribute(faces, 1));
+  geometry.setAttribute('position', new BufferAttribute(placesOf(mesh), 3));
+  geometry.setIndex(new BufferAttribute(mesh.faces, 1));
   geometry.computeVertexNormals();
+  return geometry;
+}
+
+function wall(mesh) {
+  const geometry = shapeOf(mesh);
   const back = new Mesh(geometry, wallMaterial(BackSide));
   const front = new Mesh(geometry, wallMaterial(FrontSide));
   back.renderOrder = 1;
@@ -80,6 +85,30 @@ export function createScene(host, model, { onPick, onDraw }) {
   const others = (model.others ?? []).map((other) => ({ points: other.map((p) => new Vector3(...p)) })); // paths laid side by side
   const skin = model.mesh ? wall(model.mesh) : null;
   if (skin) scene.add(skin.back, skin.front);
+  const structures = new Group();
+  const glasses = (model.bodies ?? []).map((body) => ({ ...wall(body.mesh), colour: body.colour })); // bodies to keep clear of
+  for (const { back, front } of glasses) structures.add(back, front);
+  const spots = new Group();
+  for (const { mesh, colour, radius } of model.dots ?? []) {
+    const places = placesOf(mesh);
+    const many = new InstancedMesh(new SphereGeometry(radius, 8, 6), new MeshBasicMaterial(), places.length / 3);
+    const move = new Matrix4();
+    for (let i = 0; i < many.count; i++) many.setMatrixAt(i, move.makeTranslation(places[3 * i], places[3 * i + 1], places[3 * i + 2]));
+    many.userData.colour = colour;
+    spots.add(many);
+  }
+  const tool = new Group(); // stands with its tip at the cursor, turned as on that part of the path
+  const poses = (model.tool?.poses ?? []).map(({ last, along, up }) => {
+    const [x, y] = [new Vector3(...along), new Vector3(...up)];
+    return { last, turn: new Quaternion().setFromRotationMatrix(new Matrix4().makeBasis(x, y, new Vector3().crossVectors(x, y))) };
+  });
+  for (const { mesh, colour } of model.tool?.parts ?? []) {
+    const part = new Mesh(shapeOf(mesh), new MeshLambertMaterial({ side: DoubleSide }));
+    part.userData.colour = colour;
+    part.renderOrder = 2;
+    tool.add(part);
+  }
+  scene.add(structures, spots, tool);
   const cloud = model.mesh ? Array.from({ length: Math.min(4000, model.mesh.vertices.length / 3) }, (_, k) => {
     const at = Math.floor((k * model.mesh.vertices.length) / 3 / Math.min(4000, model.mesh.vertices.length / 3)) * 3;
     return new Vector3(...[0, 1, 2].map((a) => model.mesh.low[a] + (model.mesh.vertices[at + a] / 65535) * (model.mesh.high[a] - model.mesh.low[a])));
@@ -149,10 +178,10 @@ export function createScene(host, model, { onPick, onDraw }) {
     return [(v.x * 0.5 + 0.5) * canvas.clientWidth, (0.5 - v.y * 0.5) * canvas.clientHeight];
   };
   function view(name) {
-    const way = { front: toward, side: right.clone().addScaledVector(ahead, 0.12).addScaledVector(up, 0.08), top: up.clone().addScaledVector(ahead, 0.12) }[name].clone().normalize();
+    const way = { front: toward, side: model.view.aside ? new Vector3(...model.view.aside) : right.clone().addScaledVector(ahead, 0.12).addScaledVector(up, 0.08), top: up.clone().addScaledVector(ahead, 0.12) }[name].clone().normalize();
     const half = Math.tan((camera.fov * Math.PI) / 360);
     const tall = (name === 'top' ? extent.ahead : extent.up)[1];
-    const wide = (name === 'side' ? extent.ahead : extent.right)[1];
+    const wide = (name === 'side' ? (model.view.aside ? middle(new Vector3().crossVectors(up, way)) : extent.ahead) : extent.right)[1];
     const deep = (name === 'top' ? extent.up : name === 'side' ? extent.right : extent.ahead)[1];
     const far = Math.max(tall / half, wide / half / camera.aspect) * 0.5 * 1.16 + deep / 2;
     controls.target.copy(centre);
@@ -183,7 +212,7 @@ export function createScene(host, model, { onPick, onDraw }) {
     renderer.setSize(w, h);
     camera.aspect = w / h;
     camera.updateProjectionMatrix();
-    if (first) { first = false; view('front'); } else ask();
+    if (first) { first = false; view(model.view.aside ? 'side' : 'front'); } else ask();
   }
   function paint(theme) { // colours from the style sheet, so both themes share one source
     if (skin) {
@@ -193,6 +222,14 @@ export function createScene(host, model, { onPick, onDraw }) {
       skin.front.material.uniforms.face.value = theme.solid ? 0.22 : 0.05; // a body to keep out of is denser than a wall to look through
       skin.front.material.uniforms.rim.value = theme.dark ? 0.85 : 0.74;
     }
+    for (const { back, front, colour } of glasses) {
+      for (const m of [back, front]) m.material.uniforms.colour.value.set(theme.named(colour));
+      back.material.uniforms.face.value = 0.06;
+      back.material.uniforms.rim.value = 0.2;
+      front.material.uniforms.face.value = theme.dark ? 0.16 : 0.14;
+      front.material.uniforms.rim.value = 0.6;
+    }
+    for (const part of [...spots.children, ...tool.children]) part.material.color.set(theme.named(part.userData.colour));
     line.geometry.dispose();
     if (points.length > 1) line.geometry = tube(points, thick, (u) => new Color(theme.clearance(u)));
     for (const f of flags) f.material.color.set(f.userData.kind === 'clearance' ? theme.flagClearance : theme.flagCurvature);
@@ -232,10 +269,15 @@ export function createScene(host, model, { onPick, onDraw }) {
       const q = new Quaternion().copy(camera.quaternion).invert();
       return [[1, 0, 0], [0, 1, 0], [0, 0, 1]].map((a) => { const v = new Vector3(...a).applyQuaternion(q); return [v.x, -v.y, v.z]; });
     },
-    setCursor(i) { if (points[i]) cursor.position.copy(points[i]); ask(); },
+    setCursor(i) {
+      if (points[i]) { cursor.position.copy(points[i]); tool.position.copy(points[i]); }
+      const pose = poses.find(({ last }) => i <= last);
+      if (pose) tool.quaternion.copy(pose.turn);
+      ask();
+    },
     setMark(k, i) { others[k].mark.position.copy(others[k].points[i]); ask(); },
     cursorOnScreen() { return project(cursor.position); },
-    show(what, on) { ({ before: early, features })[what].visible = on; ask(); },
+    show(what, on) { ({ before: early, features, structures, spots, tool })[what].visible = on; ask(); },
     showOther(k, on) { others[k].line.visible = on; others[k].mark.visible = on; ask(); },
     vector: (p) => new Vector3(...p),
   };

@@ -7,11 +7,13 @@ import { createScene } from './scene.js';
 export async function turnable(extra, model, { onPick, step, label }) {
   const host = $('scene');
   if (!host || !extra.view) return null;
-  let mesh = null;
-  if (extra.mesh) {
-    const faces = await unpack(extra.mesh.faces);
-    mesh = { ...extra.mesh, vertices: new Uint16Array(await unpack(extra.mesh.vertices)), faces: extra.mesh.wide ? new Uint32Array(faces) : new Uint16Array(faces) };
-  }
+  const unpacked = async (mesh) => {
+    const faces = await unpack(mesh.faces);
+    return { ...mesh, vertices: new Uint16Array(await unpack(mesh.vertices)), faces: mesh.wide ? new Uint32Array(faces) : new Uint16Array(faces) };
+  };
+  const each = (list) => Promise.all((list ?? []).map(async (part) => ({ ...part, mesh: await unpacked(part.mesh ?? part.points) })));
+  const mesh = extra.mesh && await unpacked(extra.mesh);
+  const [bodies, dots, parts] = await Promise.all([each(extra.bodies), each(extra.dots), each(extra.tool?.parts)]);
   if (!document.createElement('canvas').getContext('webgl2')) return null; // the picture made with the page stays in place
   let view3d;
   const place = createLabels($('labels'), $('leaders'), extra.labels);
@@ -27,7 +29,7 @@ export async function turnable(extra, model, { onPick, step, label }) {
       arm.style.opacity = Math.hypot(x, y) < 0.4 ? 0 : 1; // an axis that points at the viewer has no direction
     });
   };
-  view3d = createScene(host, { ...model, mesh, view: extra.view }, { onPick, onDraw });
+  view3d = createScene(host, { ...model, mesh, bodies, dots, tool: extra.tool && { ...extra.tool, parts }, view: extra.view }, { onPick, onDraw });
   host.classList.add('live');
   const { canvas } = view3d;
   canvas.tabIndex = 0;

@@ -1,5 +1,6 @@
 """The nose and what lies behind it on a head CT: tissue classes, structures, entry regions, shrinkage, the lesion."""
 
+from segmentation.anatomy.nasal.cavity import inner_air
 from segmentation.anatomy.nasal.propose import propose_scene
 from segmentation.anatomy.nasal.scene import SIDES, STRUCTURES, EntryRegion, NasalScene, Tissue
 from segmentation.anatomy.nasal.settings import NasalSettings
@@ -16,6 +17,7 @@ __all__ = [
     "Shrinkage",
     "Tissue",
     "given_lesion",
+    "inner_air",
     "propose_lesion",
     "propose_scene",
     "require_entry",
