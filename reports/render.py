@@ -50,6 +50,7 @@ def _environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+    )
     environment.filters["css_string"] = css_string
     return environment
 
@@ -63,7 +64,6 @@ def css_string(text: str) -> Markup:
     neck\\2d 2
     """
     return Markup("".join(c if c.isascii() and (c.isalnum() or c == " ") else f"\\{ord(c):x} " for c in text))
-    )
 
 
 def policy(script: str) -> str:
