@@ -192,7 +192,8 @@ def test_jpeg_2000_slices_with_an_empty_series_uid_are_read() -> None:
 def test_objectives_are_better_in_what_they_name_and_keep_both_limits(unpacked: Callable[[str], Path], tmp_path: Path) -> None:
     image = unpacked("cip_ct64_dicom")
     best, short, straight = (
-        plan_airway(image, tmp_path / name, "E2", "--objective", name, "--no-recording", "--no-report")
+        # In the right bronchus where it is 2.16 mm wide to every side; its tip E2, 5 mm on, is too narrow for this instrument.
+        plan_airway(image, tmp_path / name, "-22.7,-135.7,-169.9", "--objective", name, "--no-recording", "--no-report")
         for name in ("clearance", "length", "curvature")
     )
     assert all(result["certificate"]["holds"] for result in (best, short, straight))

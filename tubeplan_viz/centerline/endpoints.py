@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,8 +97,33 @@ def find_endpoints(
         spread = thinned(graph, branch)
         cover(graph, covered, graph.nodes[spread], 1.5 * graph.radii[spread] + settings.step)
     found = [(root_end(graph, previous, tips, first), max((b for _, b, _ in tips), default=0.0), 0.0)]
-    found += [(retreat(graph, wall, previous, tip, b), b, w) for tip, b, w in sorted(tips, key=lambda t: -t[1])]
+    own = own_lengths(previous, length, tips)
+    ends = [(retreat(graph, wall, previous, tip, o), branch, w) for (tip, branch, w), o in zip(tips, own, strict=True)]
+    found += sorted(ends, key=lambda end: -end[1])
     return tuple(label_tips(graph, wall, found))
+
+
+def own_lengths(previous: IntArray, length: FloatArray, tips: Sequence[tuple[int, float, float]]) -> list[float]:
+    """Length of the lumen that is each tip's own, mm: its branch.
+
+    The first tip's branch is the whole way from the root, through the trunk; its own is what no other tip's way shares.
+    """
+    if not tips:
+        return []
+    shared = np.zeros(len(previous), dtype=bool)
+    for tip, _, _ in tips[1:]:
+        shared[walk_up(previous, tip)] = True
+    chain = walk_up(previous, tips[0][0])
+    fork = max((float(length[node]) for node in chain if shared[node]), default=0.0)
+    return [float(length[chain[0]]) - fork, *(branch for _, branch, _ in tips[1:])]
+
+
+def walk_up(previous: IntArray, node: int) -> list[int]:
+    """The tree path from a node to the root."""
+    chain = [node]
+    while previous[chain[-1]] >= 0:
+        chain.append(int(previous[chain[-1]]))
+    return chain
 
 
 def nearest_node(graph: VoronoiGraph, point: ArrayLike | None) -> int:
@@ -185,7 +211,8 @@ def thinned(graph: VoronoiGraph, branch: list[int]) -> list[int]:
 def retreat(graph: VoronoiGraph, wall: WallDistance, previous: IntArray, tip: int, branch_length: float) -> int:
     """Walk back from a tip, at most a third of its branch, until the lumen is half as wide as the branch is.
 
-    The very tip lies in a corner of the wall; an instrument's end belongs where there is room.
+    The very tip lies in a corner of the wall; an instrument's end belongs where there is room. The branch must not reach
+    into a trunk: half as wide as a trachea is where a bronchus begins.
     """
     chain, gone = [tip], 0.0
     while gone < branch_length and previous[chain[-1]] >= 0:
@@ -207,10 +234,7 @@ def root_end(graph: VoronoiGraph, previous: IntArray, tips: list[tuple[int, floa
     """The root itself, moved along the longest branch to where the lumen has half its usual width."""
     if not tips:
         return first
-    chain = [tips[0][0]]
-    while previous[chain[-1]] >= 0:
-        chain.append(int(previous[chain[-1]]))
-    chain = chain[::-1]
+    chain = walk_up(previous, tips[0][0])[::-1]
     enough = 0.5 * float(np.median(graph.radii[chain]))
     for node in chain[: max(len(chain) // 3, 1)]:
         if graph.radii[node] >= enough:

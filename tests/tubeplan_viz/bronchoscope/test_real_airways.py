@@ -19,7 +19,7 @@ AIRWAYS: list[tuple[str, dict[str, Any], int, set[str]]] = [
         "elastix_right_lung",
         {"ct": str(DATA / "elastix_right_lung" / "3DCT_lung.mha")},
         9,
-        {"right upper lobe", "right middle lobe", "right lower lobe", "left main bronchus"},
+        {"right upper lobe", "right middle lobe", "bronchus intermedius", "left main bronchus"},
     ),
     (
         "hubmap_airway_female",
@@ -41,6 +41,8 @@ def test_every_branch_is_reached_or_proved_too_narrow(
     assert all(row["proved"] for row in document["branches"])
     assert reached <= {row["name"] for row in document["branches"] if row["verdict"] == "reached"}
     for row in document["branches"]:
+        if row["leaf"]:  # tips stand where the branch itself narrows: measured with the trachea, 15 mm were cut off
+            assert row["least_diameter_mm"] < 5.0 or name == "hubmap_airway_female"
         if row["verdict"] == "diameter":
             assert 2.0 * row["clearance_bound_mm"] < document["robot"]["diameter_mm"]
         if row["tip_error_mm"] is not None:

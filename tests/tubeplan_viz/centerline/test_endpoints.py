@@ -10,8 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from segmentation.mesh import Cap, Surface
+from segmentation.synthetic import weibel_airway
 from tubeplan_viz.centerline import Endpoint, find_endpoints, voronoi_graph
-from tubeplan_viz.centerline.endpoints import lengths_beyond, path_lengths
+from tubeplan_viz.centerline.endpoints import lengths_beyond, own_lengths, path_lengths
 from tubeplan_viz.geometry import WallDistance
 
 Prepare = Callable[[str], Any]
@@ -49,6 +50,29 @@ def test_a_tube_has_two_tips_on_its_caps(name: str, prepared: Prepare) -> None:
     assert [tip.label for tip in tips] == ["E1", "E2"]
     ends = sorted((tip.point for tip in tips), key=lambda p: float(np.linalg.norm(p - case.model.start)))
     np.testing.assert_allclose(ends, [case.model.start, case.model.goal], atol=0.01)
+
+
+def test_the_longest_way_owns_what_lies_beyond_its_last_fork() -> None:
+    # Root 0, fork 1 after 100 mm; tip 3 another 5 + 35 mm on, tip 5 another 6 + 2 mm, tip 6 hangs on the root by itself.
+    previous = np.array([-9999, 0, 1, 2, 1, 4, 0])
+    length = np.array([0.0, 100.0, 105.0, 140.0, 106.0, 108.0, 7.0])
+    tips = [(3, 140.0, 8.0), (5, 8.0, 4.0), (6, 7.0, 6.0)]
+    assert own_lengths(previous, length, tips) == [40.0, 8.0, 7.0]
+    # A single tip has the whole way for itself.
+    assert own_lengths(previous, length, tips[:1]) == [140.0]
+    assert own_lengths(previous, length, []) == []
+
+
+def test_every_bronchus_has_its_tip_in_its_round_end() -> None:
+    airway = weibel_airway(generations=3, voxel=1.0)
+    parents = {branch.parent for branch in airway.branches}
+    leaves = [branch for number, branch in enumerate(airway.branches) if number not in parents]
+    tips = tips_of(airway.surface)[1:]
+    assert len(tips) == len(leaves) == 8
+    for leaf in leaves:
+        # The axis ends in the middle of a ball; past it the wall ahead comes nearer, and half the radius is left at half
+        # the radius. Voxels are 1 mm wide.
+        assert min(np.linalg.norm(tip.point - leaf.points[-1]) for tip in tips) < 0.5 * leaf.radius + 1.0
 
 
 def test_labels_are_the_same_every_time(prepared: Prepare) -> None:
