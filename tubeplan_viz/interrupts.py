@@ -14,6 +14,11 @@ ENDING_SIGNALS = tuple(
 )  # the last is absent on Windows
 
 
+# Signals that came since a handler was set. Python drops an exception that is raised inside a finaliser, a foreign library's
+# callback or an import that tries its luck; a signal is the process's own, and so is this.
+_came: list[int] = []
+
+
 def interrupt(number: int, frame: FrameType | None) -> NoReturn:
     """Pass a signal through the program like Ctrl-C.
 
@@ -22,7 +27,20 @@ def interrupt(number: int, frame: FrameType | None) -> NoReturn:
     KeyboardInterrupt
         With the signal's name.
     """
+    _came.append(number)
     raise KeyboardInterrupt(signal.Signals(number).name)
+
+
+def check_interrupted() -> None:
+    """Raise an interruption again that a library has swallowed; called between two steps of long work it ends that all the same.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If a request to end has come.
+    """
+    if _came:
+        raise KeyboardInterrupt(signal.Signals(_came[0]).name)
 
 
 def ours_to_handle(number: int) -> bool:
@@ -41,3 +59,12 @@ def ending_like_ctrl_c() -> Iterator[None]:
     finally:
         for number, handler in held.items():
             signal.signal(number, handler)
+        if interrupt not in held.values():  # the outermost has seen to what came
+            _came.clear()
+
+
+def no_more_interrupts() -> None:
+    """Let the process end as it was going to: what it did is done, and its exit status is known."""
+    for number in ENDING_SIGNALS:
+        if ours_to_handle(number):
+            signal.signal(number, signal.SIG_IGN)

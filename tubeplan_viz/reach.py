@@ -67,11 +67,6 @@ def run_reach(
         simulator = make_simulator(given.airway, given.entrance, case.robot) if case.method == "dynamic" else None
         samples = case.settings.samples_max if simulator is not None else min(SAMPLES, case.settings.samples_max)
         with watch.stage("plan") as progress:
-
-            def judged(done: int, total: int) -> None:
-                progress(done, total)
-                folder.check_interrupted()
-
             reach = reach_map(
                 given.airway,
                 given.entrance,
@@ -79,7 +74,7 @@ def run_reach(
                 replace(case.settings, samples_max=samples, time_budget=case.time_budget),
                 rng_seed=case.rng_seed,
                 simulator=simulator,
-                progress=judged,
+                progress=progress,
             )
         written = write_ply(given.tree.surface, folder.path("mesh.ply"))
         provenance = Provenance(inputs=given.lumen.inputs, rng_seed=case.rng_seed, settings=bronchoscope_case_table(case))

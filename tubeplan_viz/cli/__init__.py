@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from tubeplan_viz.interrupts import ending_like_ctrl_c
+from tubeplan_viz.interrupts import ending_like_ctrl_c, no_more_interrupts
 
 __all__ = ["main"]
 
@@ -21,4 +21,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         except KeyboardInterrupt:  # while the commands were read, or after the end of one
             sys.stderr.write("tubeplan: interrupted\n")
             status = 130
-    sys.exit(status)
+        no_more_interrupts()
+        sys.exit(status)

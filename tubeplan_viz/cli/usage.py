@@ -14,6 +14,7 @@ from typer.core import TyperCommand
 from typer.exceptions import TyperException
 
 from segmentation.errors import CaseError
+from tubeplan_viz.interrupts import check_interrupted
 
 # Kinds of pydantic's complaints, which typer has its values checked by, and what they ask for.
 WANTED = {
@@ -53,6 +54,7 @@ class NamingCommand(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
+        check_interrupted()  # which the reading of its libraries may have swallowed
         try:
             return super().invoke(ctx)
         except CaseError as fault:

@@ -14,6 +14,7 @@ from segmentation.mesh_exports import glb_bytes, stl_bytes
 from tubeplan_viz.exports.scene import scene_parts
 from tubeplan_viz.exports.source import ExportError, ExportSource, LackingError
 from tubeplan_viz.exports.tables import TABLES
+from tubeplan_viz.interrupts import check_interrupted
 from tubeplan_viz.pipeline import Notify, silent
 from tubeplan_viz.recording import write_single_file
 from tubeplan_viz.result import RESULT, RunFolder, file_sha256, flag_markups, slicer_markups
@@ -158,7 +159,7 @@ def export_run(
         words = DerivedWords(case_id=source.case_id, anatomy=source.anatomy, keep_identifiers=keep_identifiers)
         export = Export(source, folder, words)
         for name in wanted:
-            folder.check_interrupted()
+            check_interrupted()
             notify(name, 0, 0)
             if everything:
                 with noting_lacks(export.notes):

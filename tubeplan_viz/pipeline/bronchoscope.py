@@ -75,7 +75,7 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
                     replace(case.settings, time_budget=case.time_budget),
                     rng=np.random.default_rng(case.rng_seed),
                     simulator=simulator,
-                    watch=follow(stream, progress, folder),
+                    watch=follow(stream, progress),
                 )
             with watch.stage("measure"):
                 plan = path_plan(case, given, goal, way)
@@ -105,16 +105,13 @@ def run_bronchoscope(case: BronchoscopeCase, target: Path, options: RunOptions) 
         return folder.finish(result)
 
 
-def follow(
-    stream: BronchoscopeRecording | None, progress: Callable[[int, int], None], folder: RunFolder
-) -> Callable[[Node, int], None]:
+def follow(stream: BronchoscopeRecording | None, progress: Callable[[int, int], None]) -> Callable[[Node, int], None]:
     """What is done with each new pose of the tree."""
 
     def watch(node: Node, number: int) -> None:
         progress(number, 0)
         if stream is not None:
             stream.log_node(node, number)
-        folder.check_interrupted()
 
     return watch
 

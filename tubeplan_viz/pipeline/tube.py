@@ -76,7 +76,7 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                     record_anatomy(stream, lumen, problem, light=options.light)
             with watch.stage("plan") as progress:
                 rounds = tube_steps(problem, time_budget=case.planner.time_budget)
-                steps = follow(rounds, stream, case, progress, folder)
+                steps = follow(rounds, stream, case, progress)
             with watch.stage("verify and prove"):
                 plan = conclude(problem, steps)
             # mesh.ply holds wall faces first and then the caps; result.json counts on that order.
@@ -140,7 +140,6 @@ def follow(
     stream: Recording | None,
     case: Case,
     progress: Callable[[int, int], None],
-    folder: RunFolder,
 ) -> list[PlanStep]:
     """Run the iteration, feeding each step to the recording as it happens."""
     done: list[PlanStep] = []
@@ -149,7 +148,6 @@ def follow(
         progress(step.index, case.refine.max_rounds)
         if stream is not None:
             stream.log_step(step)
-        folder.check_interrupted()
     return done
 
 

@@ -12,15 +12,14 @@ import hashlib
 import json
 import os
 import shutil
-import signal
 import tempfile
-import threading
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import Any, NoReturn, Self
+from types import TracebackType
+from typing import Any, Self
 
-from tubeplan_viz.interrupts import ENDING_SIGNALS, interrupt, ours_to_handle
+from tubeplan_viz.interrupts import check_interrupted, ending_like_ctrl_c
 from tubeplan_viz.result.document import SOFTWARE, plain, result_text
 from tubeplan_viz.result.errors import RunFolderError
 from tubeplan_viz.result.schema import validate_result
@@ -87,8 +86,7 @@ class RunFolder:
         self._files = tuple(files)
         self._partial: Path | None = None
         self._finished = False
-        self._interrupted = False
-        self._handlers: dict[int, Any] = {}
+        self._signals = ExitStack()
 
     @property
     def name(self) -> str:
@@ -100,11 +98,12 @@ class RunFolder:
         parent = self._target.parent
         if not parent.is_dir():
             raise RunFolderError(f"{self.name}: its parent folder does not exist; make it first or choose another place")
-        self._catch_signals()
+        # Python leaves at once on SIGTERM; as a KeyboardInterrupt it passes through __exit__ like Ctrl-C.
+        self._signals.enter_context(ending_like_ctrl_c())
         try:
             self._partial = Path(tempfile.mkdtemp(prefix=f".{self.name}.partial-", dir=parent))
         except OSError as fault:
-            self._release_signals()
+            self._signals.close()
             reason = FULL.get(fault.errno or 0) or (fault.strerror or "the system refuses").lower()
             raise RunFolderError(
                 f"{self.name}: no folder can be made there ({reason}); choose a place you may write to"
@@ -116,7 +115,7 @@ class RunFolder:
             if not self._finished and self._partial is not None:
                 shutil.rmtree(self._partial, ignore_errors=True)
         finally:
-            self._release_signals()
+            self._signals.close()
         if isinstance(fault, OSError) and fault.errno in FULL:
             raise RunFolderError(
                 f"{self.name}: {FULL[fault.errno]}, nothing was kept; make room or choose another place"
@@ -183,7 +182,7 @@ class RunFolder:
         RunFolderError
             If a file does not belong into it, or it cannot appear.
         """
-        self.check_interrupted()
+        check_interrupted()
         marker = self.path(self._files[0])
         partial = marker.parent
         if not marker.exists():
@@ -248,32 +247,6 @@ class RunFolder:
             raise RunFolderError(
                 f"{self.name} is no tubeplan run (no {self._files[0]} of one) and is not replaced; choose another name"
             )
-
-    def _catch_signals(self) -> None:
-        # Python leaves at once on SIGTERM; as a KeyboardInterrupt it passes through __exit__ like Ctrl-C.
-        if threading.current_thread() is not threading.main_thread():
-            return
-        for number in ENDING_SIGNALS:
-            if ours_to_handle(number):
-                self._handlers[number] = signal.signal(number, self._interrupt)
-
-    def _interrupt(self, number: int, frame: FrameType | None) -> NoReturn:
-        self._interrupted = True
-        interrupt(number, frame)
-
-    def check_interrupted(self) -> None:
-        """Raise the interruption again, should a library have swallowed it.
-
-        Python drops an exception that is raised inside a finaliser or a foreign library's
-        callback; called between two steps of long work this ends the run all the same.
-        """
-        if self._interrupted:
-            raise KeyboardInterrupt
-
-    def _release_signals(self) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
-        self._handlers = {}
 
 
 def is_run(folder: Path, marker: str = RESULT) -> bool:
