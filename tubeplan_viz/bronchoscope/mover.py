@@ -59,6 +59,8 @@ class Step:
         Places of contact with the wall, mm; (0, 3) where the mover has no contact.
     forces : (k,) float array
         Their normal forces, N.
+    halted : bool
+        The mover ended before the command was carried out, so as not to press the robot through the wall.
     """
 
     state: Any
@@ -71,6 +73,7 @@ class Step:
     body_clearance: float
     contacts: FloatArray
     forces: FloatArray
+    halted: bool = False
 
 
 class Mover(Protocol):

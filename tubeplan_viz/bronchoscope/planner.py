@@ -25,6 +25,10 @@ from tubeplan_viz.bronchoscope.route import Stage
 from tubeplan_viz.bronchoscope.steering import bends_of
 from tubeplan_viz.geometry import WallDistance
 
+# A push of so many mm that takes the tip along the guide by less than this share of it has caught it on the wall: the shaft bends
+# out behind it. Shorter pushes turn the sections, which may take the tip aside or back.
+CAUGHT_PUSH, CAUGHT = 2.0, 0.25
+
 
 def plan_segmented(
     mover: Mover,
@@ -192,7 +196,7 @@ class _Growth:
                 else:
                     step = self.mover.move(node.step, command)
                     tally.pushes += 1
-                    good = not self._collides(step)
+                    good = not self._collides(step) and not self._caught(step, tip_at, push)
                     tally.refused += not good
                     made = self._add(step, origin, number, accepted=good)
                     if good:
@@ -206,7 +210,15 @@ class _Growth:
         return self.foresee is not None and self._collides(self.foresee.move(step, command))
 
     def _collides(self, step: Step) -> bool:
-        return step.disc_clearance < self.settings.disc_margin or step.body_clearance < self.settings.body_margin
+        """Whether a step met the wall: too near to it, or halted by it, so that its command was not carried out."""
+        near = step.disc_clearance < self.settings.disc_margin or step.body_clearance < self.settings.body_margin
+        return near or step.halted
+
+    def _caught(self, step: Step, tip_at: float, push: float) -> bool:
+        """Whether the tip hangs on the wall: a push from beside `tip_at` of the guide, mm, has hardly brought it on."""
+        if push < CAUGHT_PUSH:
+            return False
+        return self.guide.nearest(step.tip[:3, 3], tip_at - push, tip_at + 2.0 * push) - tip_at < CAUGHT * push
 
     def _settle(self, here: int, number: int) -> int | None:
         """Correct the tip onto the goal by small commands; the node with the least error, None if none is near enough."""

@@ -180,6 +180,7 @@ class Simulator:
             body_clearance=clearance,
             contacts=contacts,
             forces=forces,
+            halted=motion.halted,
         )
 
     def _motion(self, passive: int) -> Motion:

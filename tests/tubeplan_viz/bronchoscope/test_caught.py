@@ -1,0 +1,107 @@
+"""Pushes that the wall stops, or that catch the tip on it, are not gone on from: a mover that does so, before a straight tube."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from tubeplan_viz.bench.models import straight_tube
+from tubeplan_viz.bronchoscope.guide import Guide
+from tubeplan_viz.bronchoscope.kinematic import KinematicMover
+from tubeplan_viz.bronchoscope.kinematics import pose_along
+from tubeplan_viz.bronchoscope.mover import Command, Step
+from tubeplan_viz.bronchoscope.planner import CAUGHT, CAUGHT_PUSH, plan_segmented
+from tubeplan_viz.bronchoscope.robot import Robot
+from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings, RobotPlan
+from tubeplan_viz.bronchoscope.route import Stage
+from tubeplan_viz.geometry import WallDistance
+
+LENGTH, RADIUS, SNAG = 90.0, 6.0, 50.0  # mm; the snag lies across the tube, and only a push of at most 4 mm passes it
+SHORT = 4.0
+
+
+@dataclass(frozen=True)
+class Snagged:
+    """The mover without forces in a tube with a snag, at which `outcome` says what becomes of a push."""
+
+    mover: KinematicMover
+    outcome: Callable[[Step, Step], Step]
+
+    def start(self) -> Step:
+        return self.mover.start()
+
+    def move(self, step: Step, command: Command) -> Step:
+        made = self.mover.move(step, command)
+        long = step.tip[1, 3] < SNAG < made.tip[1, 3] and command.push > SHORT
+        return self.outcome(step, made) if long else made
+
+
+def stopped(before: Step, made: Step) -> Step:
+    """The robot rests where it was, as one that halts before it is pressed through the wall."""
+    return replace(before, command=made.command, halted=True)
+
+
+def hung(before: Step, made: Step) -> Step:
+    """The command is carried out, but the tip hangs on the wall and the shaft bends out behind it: a fifth of the way is left."""
+    tip = before.tip.copy()
+    tip[:3, 3] += 0.2 * (made.tip[:3, 3] - before.tip[:3, 3])
+    return replace(before, command=made.command, tip=tip)
+
+
+@pytest.fixture(scope="module")
+def wall() -> WallDistance:
+    return WallDistance(straight_tube(LENGTH, RADIUS).surface)
+
+
+def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], **asked: int) -> RobotPlan:
+    robot = Robot()
+    points = np.column_stack([np.zeros(161), np.linspace(0.5, 80.5, 161), np.zeros(161)])
+    guide = Guide(points, np.full(161, RADIUS))
+    goal = np.array([0.0, 76.0, 0.0])
+    stages = (
+        Stage(name="before", begin=0.0, end=40.0, goal=np.array([0.0, 40.5, 0.0]), radius=3.0),
+        Stage(name="beyond", begin=40.0, end=75.5, goal=goal, radius=3.0),
+    )
+    mover = Snagged(KinematicMover(wall, robot, pose_along([0.0, 0.5, 0.0], [0.0, 1.0, 0.0])), outcome)
+    settings = PlannerSettings(**asked)  # type: ignore[arg-type]
+    return plan_segmented(mover, robot, guide, stages, settings, wall=wall, rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("outcome", [stopped, hung])
+def test_a_shorter_push_passes_where_a_long_one_is_stopped(wall: WallDistance, outcome: Callable[[Step, Step], Step]) -> None:
+    plan = planned(wall, outcome)
+    assert plan.reached
+    assert plan.tip_error < 0.5
+    assert not any(node.step.halted for node in plan.nodes if node.accepted)
+    refused = [node for node in plan.nodes if not node.accepted]
+    assert len(refused) >= 1  # the snag was met, and the pose after it is kept to be drawn
+    assert sum(tally.refused for tally in plan.tallies) == len(refused)
+    # One by one: 50 mm of tip at 8 mm a push, and no more than a handful of tries at the snag.
+    assert sum(tally.pushes for tally in plan.tallies) < 20
+
+
+def test_a_robot_that_is_always_stopped_gives_up_after_few_pushes_a_sample(wall: WallDistance) -> None:
+    always = planned(wall, lambda before, made: replace(before, command=made.command, halted=True), samples_max=5, push_min=5)
+    assert not always.reached
+    assert always.reason is not None
+    assert "'beyond'" in always.reason
+    # A push of 8 mm is tried at 8 and 5 mm only; at most one more leads from a sample's pose to the snag.
+    assert sum(tally.pushes for tally in always.tallies) <= 5 * 4
+
+
+def test_a_tip_counts_as_caught_by_its_way_along_the_guide(wall: WallDistance) -> None:
+    def moved(share: float) -> Callable[[Step, Step], Step]:
+        def outcome(before: Step, made: Step) -> Step:
+            tip = before.tip.copy()
+            tip[:3, 3] += share * (made.tip[:3, 3] - before.tip[:3, 3])
+            return replace(made, tip=tip)
+
+        return outcome
+
+    assert CAUGHT_PUSH < SHORT
+    # Along a straight guide the share of the way is the share of the push, to the 0.5 mm between the guide's points.
+    assert any(not node.accepted for node in planned(wall, moved(CAUGHT - 0.1)).nodes)
+    assert all(node.accepted for node in planned(wall, moved(CAUGHT + 0.1)).nodes)
