@@ -66,7 +66,7 @@ def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], **asked: 
         Stage(name="beyond", begin=40.0, end=75.5, goal=goal, radius=3.0),
     )
     mover = Snagged(KinematicMover(wall, robot, pose_along([0.0, 0.5, 0.0], [0.0, 1.0, 0.0])), outcome)
-    settings = PlannerSettings(**asked)  # type: ignore[arg-type]
+    settings = PlannerSettings(**asked)
     return plan_segmented(mover, robot, guide, stages, settings, wall=wall, rng=np.random.default_rng(0))
 
 
