@@ -77,7 +77,10 @@ def make_bronchoscope_page(case_id: str, result: Mapping[str, Any], surface: Sur
         frame=str(result["frame"]),
         still=still,
         scene=scene,
-        profiles={} if course is None else workspace.profiles(course, source, {}),
+        # The simulated tip may turn on the spot: only its sections have a limit.
+        profiles={}
+        if course is None
+        else workspace.profiles(course, source, {}, free=("curvature",) if result["planner"]["method"] == "dynamic" else ()),
         units={"clearance": "mm from the tip's track to the wall", "curvature": "1/mm, of the tip's track"},
         narrowest=None if course is None or tight is None else float(course.arc[tight]),
         ramp=None if ramp is None else (printed(ramp[0], 1), printed(ramp[1], 1)),
@@ -136,8 +139,8 @@ def _keys(source: Source) -> tuple[Key, ...]:
     contacts = source.result["details"]["contacts"]
     steps = phrase(f"{len(source.result['details']['steps']) - 1} commands for both sections and the push")
     if contacts["largest_force_mm"] is not None:
-        x, y, z = contacts["largest_force_mm"]
-        where = phrase(f"after step {contacts['largest_force_step']} at ({x:.1f}, {y:.1f}, {z:.1f}) mm; ", steps)
+        place = ", ".join(printed(value, 1) for value in contacts["largest_force_mm"])
+        where = phrase(f"after step {contacts['largest_force_step']} at ({place}) mm; ", steps)
         made.append(Key("Largest contact force", phrase(source.need("details.contacts.largest_force_n", 3, "N")), where))
     elif source.result["planner"]["method"] == "dynamic":
         made.append(Key("Contact", phrase("none"), phrase("at rest after no step; ", steps)))

@@ -270,7 +270,7 @@ def strip_chart(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Steps:
-    """The worst value of one limit after each iteration; `full` draws it as wide as the charts over arc length."""
+    """The worst value of one limit after each iteration, or of a robot after each step; `full` draws it as wide as a path's."""
 
     kind: str
     values: FloatArray
@@ -286,7 +286,8 @@ def step_chart(spec: Steps, width: Width) -> Markup:
     asked = [] if spec.limit is None else [spec.limit]
     low, high = min([float(spec.values.min()), *asked]), max([float(spec.values.max()), *asked])
     spread = max(high - low, 0.05 * abs(high), 1e-6)
-    low = 0.0 if spec.kind == "curvature" else low - 0.3 * spread
+    # Room below the lowest value, but none for values that cannot be where nothing is below zero.
+    low = 0.0 if spec.kind == "curvature" else max(low - 0.3 * spread, 0.0 if low >= 0.0 else -math.inf)
     step = nice_step(high + 0.2 * spread - low, 4)
     low, high = math.floor(low / step) * step, math.ceil((high + 0.12 * spread) / step) * step
     last = max(len(spec.values) - 1, 1)
@@ -335,7 +336,7 @@ def growth_chart(limits: FloatArray, volumes: FloatArray, chosen: float, leak: f
         parts.append(tag("text", f"{printed(k * step, step_digits(step))} HU", class_="axis", x=at, y=tall - 6, text_anchor=end))
     parts.append(tag("path", class_="after", d=trace(limits, volumes, x, y)))
     parts += [tag("circle", class_="sample", cx=x(float(a)), cy=y(float(b)), r=2) for a, b in zip(limits, volumes, strict=True)]
-    marks = [("limit", "limit-label", chosen, "chosen", 10.0)]
+    marks, words = [("limit", "limit-label", chosen, "chosen", 10.0)], []  # words last: no line runs through one
     if leak is not None:
         marks.append(("leak", "leak-label", leak, "leaks at", 10.0))
     for line, name, hu, word, height in marks:
@@ -352,7 +353,7 @@ def growth_chart(limits: FloatArray, volumes: FloatArray, chosen: float, leak: f
             at, at - room if turned else at + room
         )
         parts.append(tag("line", class_=line, x1=at, x2=at, y1=y.end - 8, y2=y.start))
-        parts.append(
+        words.append(
             tag(
                 "text",
                 text,
@@ -362,4 +363,4 @@ def growth_chart(limits: FloatArray, volumes: FloatArray, chosen: float, leak: f
                 text_anchor="end" if turned else "start",
             )
         )
-    return frame(width, (wide, tall), label, parts)
+    return frame(width, (wide, tall), label, [*parts, *words])

@@ -79,9 +79,17 @@ def strip(course: Course, source: Source, parts: Sequence[Mapping[str, Any]]) ->
 
 
 def profiles(
-    course: Course, source: Source, first: Mapping[str, Any], *, kinds: Sequence[str] = ("clearance", "curvature")
+    course: Course,
+    source: Source,
+    first: Mapping[str, Any],
+    *,
+    kinds: Sequence[str] = ("clearance", "curvature"),
+    free: Sequence[str] = (),
 ) -> dict[str, Markup]:
-    """The charts of clearance and curvature over arc length, those of `kinds` that apply; the last kind has the axis."""
+    """The charts of clearance and curvature over arc length, those of `kinds` that apply; the last kind has the axis.
+
+    Those of `free` are drawn without their limit, which is so far off that the curve beside it would be flat.
+    """
     flags = source.result.get("flagged_intervals") or []
     before_arc = np.asarray(first["s_mm"], float) if first.get("s_mm") else None
     charts: dict[str, Markup] = {}
@@ -89,6 +97,7 @@ def profiles(
     for kind, values, limit in (("clearance", course.clearance, asked), ("curvature", course.curvature, allowed)):
         if values is None or kind not in kinds:
             continue
+        limit = None if kind in free else limit
         mine = [flag for flag in flags if flag["kind"] == kind]
         before = first.get(f"{kind}_{'mm' if kind == 'clearance' else 'per_mm'}")
         made = _profile(kind, course.arc, values, limit, mine)

@@ -301,3 +301,23 @@ def test_the_recording_draws_the_documents_path(run: Path) -> None:
             np.linalg.norm(drawn[:, None] - samples[None], axis=2).min(axis=1).max() <= 1e-4 + 0.5 * np.diff(path["s_mm"]).max()
         )
         assert np.linalg.norm(drawn[[0, -1]] - samples[[0, -1]], axis=1).max() <= 1e-4
+
+
+@pytest.mark.parametrize("name", ["needle2d", "needle3d"])
+def test_the_bars_of_a_needles_recording_are_the_paths_and_end_at_the_limit(name: str, made: Callable[[str], Path]) -> None:
+    run = made(name)
+    document = document_of(run)
+    bars = {
+        (entity.rpartition("/")[0].rpartition("/")[2], entity.rpartition("/")[2], column.rpartition(":")[2]): cells[0][0]
+        for entity, column, _, _, cells in rows_of(run)
+        if entity.startswith("/case/profile") and column in ("BarChart:values", "BarChart:abscissa")
+    }
+    for kind, key, limit in (
+        ("clearance", "clearance_mm", "clearance_min_mm"),
+        ("curvature", "curvature_per_mm", "curvature_max_per_mm"),
+    ):
+        values, places = (np.asarray(bars[kind, "1_ok", column]["buffer"]) for column in ("values", "abscissa"))
+        np.testing.assert_array_equal(values, document["path"][key])
+        np.testing.assert_array_equal(places, document["path"]["s_mm"])
+        assert np.asarray(bars[kind, "0_limit", "values"]["buffer"]).tolist() == [document["limits"][limit]]
+        assert (kind, "2_flagged", "values") not in bars  # both runs hold

@@ -151,8 +151,8 @@ def blueprint(contents: Contents, eye: Viewpoint | None) -> rrb.Blueprint:
         space = rrb.Vertical(space, *below, row_shares=[7, 3] if len(below) == 1 else [6, 2.8, 2.2])
     limits = contents.limits
     plots = [
-        _bars(FlagKind.CLEARANCE, f"Clearance, mm over arc length in mm (limit {limits.clearance_min:g})"),
-        _bars(FlagKind.CURVATURE, f"Curvature, 1/mm over arc length in mm (limit {limits.curvature_max:g})"),
+        bars_view(FlagKind.CLEARANCE, limits.clearance_min),
+        bars_view(FlagKind.CURVATURE, limits.curvature_max),
         rrb.Tabs(
             # The name tells the colours: a legend would hide the last iterations, which matter most.
             _series(at.CONVERGENCE, "Convergence, 1 = limit: curvature (red), clearance (orange)", legend=False),
@@ -220,7 +220,10 @@ def folded(layout: rrb.Container, **time: Any) -> rrb.Blueprint:
     )
 
 
-def _bars(kind: FlagKind, name: str) -> rrb.BarChartView:
+def bars_view(kind: FlagKind, limit: float) -> rrb.BarChartView:
+    """The plot of one quantity over arc length; its name tells units and limit."""
+    unit = "mm" if kind is FlagKind.CLEARANCE else "1/mm"
+    name = f"{kind.value.capitalize()}, {unit} over arc length in mm (limit {limit:g})"
     return rrb.BarChartView(origin=f"{at.PROFILE}/{kind.value}", name=name, plot_legend=rrb.PlotLegend(visible=False))
 
 

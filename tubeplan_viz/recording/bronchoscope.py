@@ -25,7 +25,16 @@ TREE, REFUSED, ROBOT, DISC = f"{at.CASE}/tree/poses", f"{at.CASE}/tree/collided"
 CONTACTS, SUBGOALS, TARGET = f"{at.CASE}/robot/contacts", f"{at.CASE}/stages", f"{at.CASE}/target"
 BRANCHES, ACTUATION, CLEARANCES = f"{at.CASE}/branches", f"{at.CASE}/actuation", f"{at.CASE}/clearance"
 ROBOT_COLOR, ACTIVE_COLOR = (150, 160, 180), (255, 226, 120)
+FORCE = f"{at.CASE}/force"
 ANGLES = ("phi_proximal_deg", "phi_distal_deg")
+SERIES: dict[str, tuple[str, at.Color]] = {
+    f"{ACTUATION}/phi_proximal_deg": ("proximal", at.CENTERLINE_COLOR),
+    f"{ACTUATION}/phi_distal_deg": ("distal", at.PATH),
+    f"{CLEARANCES}/disc_clearance_mm": ("front disc", at.PATH),
+    f"{CLEARANCES}/body_clearance_mm": ("body", at.CENTERLINE_COLOR),
+    f"{FORCE}/largest_n": ("largest", at.LEAK),
+}
+"""Name and colour of each line in the plots by step."""
 
 
 class BronchoscopeRecording(RunRecording):
@@ -45,6 +54,8 @@ class BronchoscopeRecording(RunRecording):
         self._branches: list[tuple[FloatArray, FloatArray]] = []
         self._refused: list[FloatArray] = []
         self._radius = 1.0
+        self._has_forces = False
+        self._wall = np.zeros((0, 3))
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, method: str, frame: str, connect: str | None = None, light: bool = False) -> Self:
@@ -65,6 +76,7 @@ class BronchoscopeRecording(RunRecording):
         from tubeplan_viz.recording.anatomy import log_surface
 
         self._radius = radius
+        self._wall = np.asarray(surface.vertices[::20])
         log_surface(self._sink, surface, light=self._light)
         lines = rr.LineStrips3D([line for _, line in branches], colors=at.CENTERLINE_COLOR, radii=rr.Radius.ui_points(0.8))
         self._sink.log(f"{BRANCHES}/lines", lines, static=True)
@@ -127,6 +139,10 @@ class BronchoscopeRecording(RunRecording):
         self._sink.log(at.CURVE, rr.LineStrips3D([path], colors=at.PATH, radii=rr.Radius.ui_points(2.0)), static=True)
         self._seen = np.vstack([self._seen, path])
         active = float(details["robot"]["proximal_length_mm"] + details["robot"]["distal_length_mm"])
+        self._has_forces = any(told["forces_n"] for told in details["steps"])
+        for entity, (name, color) in SERIES.items():
+            if self._has_forces or not entity.startswith(FORCE):
+                self._sink.log(entity, rr.SeriesLines(names=name, colors=color, widths=1.8), static=True)
         for number, (step, told) in enumerate(zip(steps, details["steps"], strict=True)):
             self._sink.at(STEP, number)
             self._log_robot(step, active)
@@ -169,26 +185,31 @@ class BronchoscopeRecording(RunRecording):
             for name in ANGLES:
                 self._sink.log(f"{ACTUATION}/{name}", rr.Scalars(float(told["command"][name])))
         if told["forces_n"]:
-            self._sink.log(f"{at.CASE}/force/largest_n", rr.Scalars(float(max(told["forces_n"]))))
+            self._sink.log(f"{FORCE}/largest_n", rr.Scalars(float(max(told["forces_n"]))))
 
     def _blueprint(self) -> Any:
         import rerun.blueprint as rrb
 
         from tubeplan_viz.recording.blueprint import SCENE_NAME, folded, scene_view, viewpoint
 
-        eye = viewpoint(self._seen, self._frame, radius=12.0)
+        eye = viewpoint(self._seen, self._frame, wall=self._wall)
         space = scene_view(SCENE_NAME, eye)
         words = rrb.Tabs(
             rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
             rrb.TextLogView(origin=at.DECISIONS, name="Steps"),
             active_tab=0,
         )
-        plots = rrb.Vertical(
-            rrb.TimeSeriesView(origin=ACTUATION, name="Bend of each section by step, degrees"),
-            rrb.TimeSeriesView(origin=CLEARANCES, name="Clearance of front disc and body by step, mm"),
-        )
+        # Bends grow on the way and room shrinks: where they begin, and where it ends, a legend hides least.
+        rising, falling = rrb.PlotLegend(rrb.Corner2D.LeftTop), rrb.PlotLegend(rrb.Corner2D.RightTop)
+        plots = [
+            rrb.TimeSeriesView(origin=ACTUATION, name="Bend of each section by step, degrees", plot_legend=rising),
+            rrb.TimeSeriesView(origin=CLEARANCES, name="Distance to the wall by step, mm", plot_legend=falling),
+        ]
+        if self._has_forces:
+            off = rrb.PlotLegend(visible=False)
+            plots.append(rrb.TimeSeriesView(origin=FORCE, name="Largest contact force by step, N", plot_legend=off))
         return folded(
-            rrb.Horizontal(space, rrb.Vertical(plots, words, row_shares=[3, 2]), column_shares=[5, 4]),
+            rrb.Horizontal(space, rrb.Vertical(*plots, words, row_shares=[3] * len(plots) + [4]), column_shares=[5, 4]),
             timeline=STEP,
         )
 

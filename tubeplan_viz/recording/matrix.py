@@ -55,7 +55,7 @@ def log_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> Non
             sink.log("/case/instrument", words)
         sink.log("/case/table", rr.TextDocument(table(document), media_type=rr.MediaType.MARKDOWN), static=True)
         sink.flush()
-        sink.publish(layout(document))
+        sink.publish(layout(document, surface))
 
 
 def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> None:
@@ -68,7 +68,8 @@ def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]
             line_colors.append(color)
     sink.log(f"{TREE}/paths", rr.LineStrips3D(lines, colors=line_colors, radii=rr.Radius.ui_points(2.5)))
     labels = [
-        f"{target['label']}: {SIGNS[cell['verdict']]}" + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f} mm")
+        f"{called(target)}: {SIGNS[cell['verdict']]}"
+        + ("" if cell["margin_mm"] is None else f" {margin_text(cell['margin_mm'])} mm")
         for target, cell in zip(document["targets"], row, strict=True)
     ]
     points = [target["point_mm"] for target in document["targets"]]
@@ -86,6 +87,12 @@ def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]
         f"{TREE}/worst",
         rr.Points3D([point for point, _ in worst], colors=[color for _, color in worst], radii=rr.Radius.ui_points(4.0)),
     )
+
+
+def margin_text(margin: float) -> str:
+    """A margin in mm with as many decimals, 2 to 6, as tell it from none: what does not fit never shows 0.00."""
+    texts = [f"{margin:+.{digits}f}" for digits in range(2, 7)]
+    return next((text for text in texts if float(text) != 0.0), f"{0.0:.2f}")
 
 
 def section_rings(document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> list[FloatArray]:
@@ -110,10 +117,15 @@ def told(document: Mapping[str, Any], one: Mapping[str, Any], row: list[Mapping[
         f"rigid tip {one['rigid_tip_mm']:g} mm, working length {one['working_length_mm']:g} mm\n\n"
     )
     lines = [
-        f"* **{target['label']}**: {SIGNS[cell['verdict']]}; {cell['reason']}"
+        f"* **{called(target)}**: {SIGNS[cell['verdict']]}; {cell['reason']}"
         for target, cell in zip(document["targets"], row, strict=True)
     ]
     return head + "\n".join(lines)
+
+
+def called(target: Mapping[str, Any]) -> str:
+    """A target's label with the name of its part, where that is known."""
+    return " ".join(filter(None, (target["label"], target["name"])))
 
 
 def table(document: Mapping[str, Any]) -> str:
@@ -121,16 +133,19 @@ def table(document: Mapping[str, Any]) -> str:
     labels = [target["label"] for target in document["targets"]]
     lines = ["## Instruments and targets", "| # | instrument | " + " | ".join(labels) + " |", "|--|--|" + "--|" * len(labels)]
     for number, (one, row) in enumerate(zip(document["instruments"], document["cells"], strict=True)):
-        cells = [MARKS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f}") for cell in row]
+        cells = [
+            MARKS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {margin_text(cell['margin_mm'])}") for cell in row
+        ]
         lines.append(f"| {number} | {one['name']} | " + " | ".join(cells) + " |")
-    legend = ", ".join(f"{MARKS[verdict]}: {SIGNS[verdict]}" for verdict in MARKS)
+    names = [called(target) for target in document["targets"] if target["name"]]
+    legend = ("; ".join(names) + ". " if names else "") + ", ".join(f"{MARKS[verdict]}: {SIGNS[verdict]}" for verdict in MARKS)
     return "\n".join(lines) + f"\n\n{legend}; margins in mm. {document['rule']}\n\n*{at.NOTICE}*"
 
 
-def layout(document: Mapping[str, Any]) -> rrb.Blueprint:
+def layout(document: Mapping[str, Any], surface: Surface) -> rrb.Blueprint:
     """The tree beside the table; the timeline steps through the instruments."""
     seen = np.array([document["start_mm"], *(target["point_mm"] for target in document["targets"])], float)
-    view = viewpoint(seen, str(document["frame"]), radius=8.0)
+    view = viewpoint(seen, str(document["frame"]), radius=8.0, wall=np.asarray(surface.vertices[::20]))
     scene = scene_view("Paths of one instrument; step through the timeline `instrument`", view)
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/case/table", name=f"All cells ({at.NOTICE.lower().rstrip('.')})"),

@@ -12,6 +12,7 @@ from segmentation.arrays import FloatArray
 from segmentation.volume import Volume
 from tubeplan_viz.needle.bodies import Polygon, Sphere
 from tubeplan_viz.needle.obstacles import Scene
+from tubeplan_viz.plan import FlagKind
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.base import RunRecording, begin
 
@@ -49,7 +50,7 @@ class NeedleRecording(RunRecording):
         self._scene: Scene | None = None
         self._volume: Volume | None = None
         self._last = 0
-        self._has_clearance = False
+        self._limits: dict[FlagKind, float] = {}  # of the quantities that are plotted
 
     @classmethod
     def open(cls, path: Path, *, case_id: str, planner: str, frame: str, connect: str | None = None, light: bool = False) -> Self:
@@ -127,7 +128,7 @@ class NeedleRecording(RunRecording):
                 self._sink.log(at.WALK, rr.Points3D([here], colors=at.HERE, radii=rr.Radius.ui_points(5.0)))
                 if gap is not None:
                     self._sink.log(CLEARANCE, rr.Scalars(float(gap)))
-            self._has_clearance = gaps[0] is not None
+            self._log_profile(result)
             if self._volume is not None and self._scene is not None:
                 from tubeplan_viz.recording.needle_ct import log_ct
 
@@ -145,6 +146,24 @@ class NeedleRecording(RunRecording):
         document = rr.TextDocument(summary(self._case_id, result), media_type=rr.MediaType.MARKDOWN)
         self._sink.log(at.SUMMARY, document, static=True)
         self._sink.flush()
+
+    def _log_profile(self, result: Mapping[str, Any]) -> None:
+        """Clearance and curvature over arc length with their limits; without obstacles there is no clearance."""
+        from tubeplan_viz.recording.plans import log_bars
+
+        path = result["path"]
+        s = np.array(path["s_mm"], float)
+        for kind, key, limit in (
+            (FlagKind.CLEARANCE, "clearance_mm", "clearance_min_mm"),
+            (FlagKind.CURVATURE, "curvature_per_mm", "curvature_max_per_mm"),
+        ):
+            if not path[key]:
+                continue
+            broken = np.zeros(len(s), dtype=bool)
+            for flag in result["flagged_intervals"]:
+                broken |= (flag["kind"] == kind) & (s >= flag["from_mm"]) & (s <= flag["to_mm"])
+            self._limits[kind] = float(result["limits"][limit])
+            log_bars(self._sink, kind, s, np.array(path[key], float), broken, self._limits[kind], single=self._light, static=True)
 
     def _log_forms(self, details: Mapping[str, Any]) -> None:
         import rerun as rr
@@ -197,7 +216,7 @@ class NeedleRecording(RunRecording):
     def _blueprint(self) -> Any:
         import rerun.blueprint as rrb
 
-        from tubeplan_viz.recording.blueprint import SCENE_NAME, Viewpoint, folded, scene_view, viewpoint
+        from tubeplan_viz.recording.blueprint import SCENE_NAME, Viewpoint, bars_view, folded, scene_view, viewpoint
 
         if self._planner == "needle2d":  # the plane x = 0, seen along x with the depth downwards
             middle = 0.5 * (self._seen.min(axis=0) + self._seen.max(axis=0))
@@ -211,20 +230,19 @@ class NeedleRecording(RunRecording):
             rrb.TextDocumentView(origin=at.SUMMARY, name="Summary"),
             rrb.TextLogView(origin=at.DECISIONS, name="Events"),
         ]
-        side: list[Any] = [rrb.Tabs(*words, active_tab=0)]
-        along = rrb.TimeSeriesView(origin=CLEARANCE, name="Clearance along the path, mm (timeline arc_length)")
-        if self._planner == "needle2d" and self._has_clearance:
-            side = [along, *side]
+        side: list[Any] = [bars_view(kind, limit) for kind, limit in self._limits.items()]
         if self._planner == "needle3d":
-            plots = [
-                rrb.TimeSeriesView(origin=f"{at.CONVERGENCE}/{name}", name=f"{name.capitalize()} by round of the swarm")
+            search = [
+                rrb.TimeSeriesView(
+                    origin=f"{at.CONVERGENCE}/{name}",
+                    name=f"{name.capitalize()} by round",
+                    plot_legend=rrb.PlotLegend(visible=False),
+                )
                 for name in GOALS
             ]
-            side = [
-                rrb.Tabs(*plots, *([along] if self._has_clearance else []), active_tab=0),
-                rrb.Spatial2DView(origin=FRONT, name="Pareto front: length to the right, danger upwards"),
-                *side,
-            ]
+            front = rrb.Spatial2DView(origin=FRONT, name="Pareto front: danger over length")
+            side.append(rrb.Tabs(*search, front, active_tab=0))
+        side.append(rrb.Tabs(*words, active_tab=0))
         scene: rrb.View | rrb.Container = space
         if self._volume is not None:
             from tubeplan_viz.recording.slices import FIELD_MM, PIXEL_MM
@@ -237,7 +255,7 @@ class NeedleRecording(RunRecording):
             ]
             scene = rrb.Vertical(space, rrb.Horizontal(*planes), row_shares=[3, 2])
         return folded(
-            rrb.Horizontal(scene, rrb.Vertical(*side), column_shares=[5, 4]),
+            rrb.Horizontal(scene, rrb.Vertical(*side, row_shares=[3] * (len(side) - 1) + [4]), column_shares=[5, 4]),
             timeline=at.ITERATION if self._planner == "needle3d" else at.ARC_LENGTH,
         )
 

@@ -112,22 +112,50 @@ def log_track(sink: Sink, track: Track, limits: Limits, *, light: bool) -> None:
     """Curve in 3D, and curvature and clearance over arc length beside their limits."""
     drawn = track.thinned(LIGHT_SPACING_MM if light else CURVE_SPACING_MM)
     sink.log(at.CURVE, rr.LineStrips3D([drawn.points], colors=at.PATH, radii=rr.Radius.ui_points(2.0)))
-    bars, number = (drawn, np.float32) if light else (track, np.float64)
-    # A little overlap, or the viewer leaves dark seams between bars that are two pixels wide.
-    widths = 1.15 * np.diff(bars.arc_length, append=2.0 * bars.arc_length[-1] - bars.arc_length[-2])
+    bars = drawn if light else track
     for kind in FlagKind:
-        values, broken = bars.values(kind).astype(number), bars.broken(kind, limits)
-        for part, chosen, color in (("ok", ~broken, at.OK), ("flagged", broken, at.FLAG_COLORS[kind])):
-            sink.log_some(
-                at.profile_path(kind, part),
-                int(chosen.sum()),
-                rr.BarChart(values[chosen], abscissa=bars.arc_length[chosen].astype(number), widths=widths[chosen], color=color),
-            )
         limit = limits.curvature_max if kind is FlagKind.CURVATURE else limits.clearance_min
-        sink.log(
-            at.profile_path(kind, "limit"),
-            rr.BarChart([limit], abscissa=[0.0], widths=[float(track.arc_length[-1])], color=at.LIMIT),
+        log_bars(sink, kind, bars.arc_length, bars.values(kind), bars.broken(kind, limits), limit, single=light)
+
+
+def log_bars(
+    sink: Sink,
+    kind: FlagKind,
+    arc_length: FloatArray,
+    values: FloatArray,
+    broken: BoolArray,
+    limit: float,
+    *,
+    single: bool = False,
+    static: bool = False,
+) -> None:
+    """One quantity over arc length as bars, those that break the limit in its colour, with the limit behind them.
+
+    Parameters
+    ----------
+    sink : Sink
+    kind : FlagKind
+    arc_length, values, broken : (n,) arrays
+        Places in mm, the quantity there, and whether it breaks its limit.
+    limit : float
+    single : bool
+        Keep single precision.
+    static : bool
+        Log for all times instead of the present one.
+    """
+    number = np.float32 if single else np.float64
+    # A little overlap, or the viewer leaves dark seams between bars that are two pixels wide.
+    widths = 1.15 * np.diff(arc_length, append=2.0 * arc_length[-1] - arc_length[-2])
+    for part, chosen, color in (("ok", ~broken, at.OK), ("flagged", broken, at.FLAG_COLORS[kind])):
+        bars = rr.BarChart(
+            values[chosen].astype(number), abscissa=arc_length[chosen].astype(number), widths=widths[chosen], color=color
         )
+        if not static:
+            sink.log_some(at.profile_path(kind, part), int(chosen.sum()), bars)
+        elif chosen.any():
+            sink.log(at.profile_path(kind, part), bars, static=True)
+    span = rr.BarChart([limit], abscissa=[0.0], widths=[float(arc_length[-1])], color=at.LIMIT)
+    sink.log(at.profile_path(kind, "limit"), span, static=static)
 
 
 def log_flagged(sink: Sink, track: Track, flagged: Sequence[FlaggedInterval]) -> None:

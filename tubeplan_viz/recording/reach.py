@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,19 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy.spatial import cKDTree
 
+from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.blueprint import folded, scene_axes, scene_view, viewpoint
+from tubeplan_viz.recording.blueprint import FIELD_OF_VIEW, Viewpoint, folded, scene_axes, scene_view, viewpoint
 from tubeplan_viz.recording.matrix import COLORS as SIGNALS
 from tubeplan_viz.recording.sink import Sink
 
 BRANCH = "branch"
+WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "no way: bend", "collision": "no way: wall"}
+# Of the airway's extent: how far names stand off the tips that they name at least, and how much farther at each try.
+OFF, FARTHER = 0.04, 0.03
+# What a label takes of the first view's height: a line, and a letter across; the viewer has them in pixels.
+LINE_SHARE, LETTER_SHARE = 0.04, 0.0105
 COLORS: dict[str, at.Color] = {
     "reached": SIGNALS["feasible"],
     "diameter": SIGNALS["impossible"],
@@ -49,10 +55,8 @@ def log_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None
         lines = [np.asarray(row["points_mm"], float) for row in rows]
         colors = [COLORS[row["verdict"]] for row in rows]
         sink.log("/case/branches/lines", rr.LineStrips3D(lines, colors=colors, radii=rr.Radius.ui_points(2.0)), static=True)
-        names = [f"{row['name']}: {row['verdict']}" for row in rows]
-        middles = [row["middle_mm"] for row in rows]
-        marks = rr.Points3D(middles, labels=names, colors=colors, radii=rr.Radius.ui_points(3.0), show_labels=len(rows) < 16)
-        sink.log("/case/branches/names", marks, static=True)
+        eye = viewpoint(np.asarray(surface.vertices[::50]), str(document["frame"]), radius=8.0)
+        log_names(sink, rows, eye)
         for number, row in enumerate(rows):
             sink.at(BRANCH, number)
             body = row["body_mm"]
@@ -65,7 +69,7 @@ def log_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None
             sink.log("/case/branch", words)
         sink.log("/case/table", rr.TextDocument(table(document), media_type=rr.MediaType.MARKDOWN), static=True)
         sink.flush()
-        sink.publish(layout(document, surface))
+        sink.publish(layout(eye))
 
 
 def log_colored_wall(sink: Sink, rows: list[Mapping[str, Any]], surface: Surface) -> None:
@@ -84,35 +88,98 @@ def log_colored_wall(sink: Sink, rows: list[Mapping[str, Any]], surface: Surface
             sink.log(f"{at.WALL}/{name}", mesh, static=True)
 
 
+def log_names(sink: Sink, rows: list[Mapping[str, Any]], eye: Viewpoint) -> None:
+    """Names off the tips of the branches that end the tree or are refused, each on a thin line; the others on demand."""
+    shown = [row for row in rows if row["leaf"] or row["verdict"] != "reached"]
+    tips = np.array([row["points_mm"][-1] for row in shown], float).reshape(-1, 3)
+    spots = stand_off(tips, [str(row["name"]) for row in shown], eye)
+    colors = [COLORS[row["verdict"]] for row in shown]
+    leaders = [np.stack(pair) for pair in zip(tips, spots, strict=True)]
+    sink.log("/case/branches/leaders", rr.LineStrips3D(leaders, colors=colors, radii=rr.Radius.ui_points(0.5)), static=True)
+    names = rr.Points3D(
+        spots, labels=[row["name"] for row in shown], colors=colors, radii=rr.Radius.ui_points(1.0), show_labels=len(shown) < 24
+    )
+    sink.log("/case/branches/names", names, static=True)
+    others = [row for row in rows if not row["leaf"] and row["verdict"] == "reached"]
+    passed = rr.Points3D(
+        [row["middle_mm"] for row in others],
+        labels=[row["name"] for row in others],
+        colors=[COLORS[row["verdict"]] for row in others],
+        radii=rr.Radius.ui_points(3.0),
+        show_labels=False,
+    )
+    if others:
+        sink.log("/case/branches/passed", passed, static=True)
+
+
+def stand_off(tips: FloatArray, names: Sequence[str], eye: Viewpoint) -> FloatArray:
+    """Places for names, (n, 3) mm: away from the middle of all tips in the plane of the screen, so far that none lies on another.
+
+    Parameters
+    ----------
+    tips : (n, 3) float array, mm
+    names : sequence of str
+    eye : Viewpoint
+        From which the names must not overlap; from elsewhere they may.
+    """
+    ahead = eye.target - eye.position
+    far = float(np.linalg.norm(ahead))
+    right = np.cross(ahead, eye.up)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, ahead) / far
+    height = 2.0 * far * float(np.tan(0.5 * FIELD_OF_VIEW))
+    flat = np.column_stack([tips @ right, tips @ up])
+    away = flat - flat.mean(axis=0)
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    width = LETTER_SHARE * height * np.array([len(name) + 3 for name in names], float)
+    line, placed = LINE_SHARE * height, np.empty((0, 2))
+    for k in range(len(tips)):
+        off = OFF * height
+        while True:
+            spot = flat[k] + off * away[k]
+            apart = np.abs(placed - spot)
+            if not np.any((apart[:, 0] < 0.5 * (width[:k] + width[k])) & (apart[:, 1] < line)):
+                break
+            off += FARTHER * height
+        placed = np.vstack([placed, spot])
+    moved = placed - flat
+    return np.asarray(tips + moved[:, :1] * right + moved[:, 1:] * up)
+
+
 def told(row: Mapping[str, Any]) -> str:
     """One branch as markdown."""
     why = "" if row["reason"] is None else f"\n\n{row['reason']}"
     return (
-        f"## {row['name']}: {row['verdict']}{why}\n\n"
+        f"## {row['name']}: {WORDS[row['verdict']]}{why}\n\n"
         f"diameter {row['diameter_mm']:.1f} mm, least {row['least_diameter_mm']:.1f} mm, "
         f"length {row['length_mm']:.1f} mm; reached {row['depth_mm']:.1f} mm of it"
     )
 
 
 def table(document: Mapping[str, Any]) -> str:
-    """All branches as markdown; the viewer of rerun 0.41 ends at the sign for a diameter."""
-    lines = ["## Branches", "| # | branch | diameter mm | verdict | reached mm | why |", "|--|--|--|--|--|--|"]
-    for number, row in enumerate(document["branches"]):
-        why = row["reason"] or ""
-        lines.append(
-            f"| {number} | {row['name']} | {row['diameter_mm']:.1f} | {row['verdict']} | {row['depth_mm']:.1f} | {why} |"
-        )
-    return "\n".join(lines) + f"\n\n{document['rule']}\n\n*{at.NOTICE}*"
+    """All branches as markdown, and below them why some are not reached: the viewer's tables break no lines.
+
+    Its text ends at the sign for a diameter (rerun 0.41), which is written out.
+    """
+    rows = document["branches"]
+    lines = ["## Branches", "| # | branch | verdict | reached mm | of mm | diameter mm |", "|--|--|--|--|--|--|"]
+    lines += [
+        f"| {number} | {row['name']} | {WORDS[row['verdict']]} | {row['depth_mm']:.1f} | {row['length_mm']:.1f} "
+        f"| {row['diameter_mm']:.1f} |"
+        for number, row in enumerate(rows)
+    ]
+    why = [f"* **{row['name']}**: {WORDS[row['verdict']]}; {row['reason']}" for row in rows if row["reason"] is not None]
+    refused = "\n\n## Not reached\n\n" + "\n".join(why) if why else ""
+    return "\n".join(lines) + f"{refused}\n\n{document['rule']}\n\n*{at.NOTICE}*"
 
 
-def layout(document: Mapping[str, Any], surface: Surface) -> rrb.Blueprint:
+def layout(eye: Viewpoint) -> rrb.Blueprint:
     """The airway beside the table; the timeline steps through the branches."""
-    view = viewpoint(np.asarray(surface.vertices[::50]), str(document["frame"]), radius=8.0)
-    scene = scene_view("Airway by verdict; step through the timeline `branch` (research use, not for clinical decisions)", view)
+    scene = scene_view("Airway by verdict; step through the timeline `branch` (research use, not for clinical decisions)", eye)
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/case/table", name="All branches"),
         rrb.TextDocumentView(origin="/case/branch", name="This branch"),
-        row_shares=[3, 1],
+        row_shares=[4, 1],
     )
     return folded(
         rrb.Horizontal(scene, words, column_shares=[1, 1]),
