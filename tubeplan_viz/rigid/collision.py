@@ -56,7 +56,7 @@ def to_frame(bodies: Bodies, frame: Frame) -> Bodies:
     return Bodies(frame.to_frame(bodies.tail), frame.to_frame(bodies.front), bodies.radius, bodies.round_front)
 
 
-def collide(obstacles: Obstacles, bodies: Bodies, *, exact: bool = True) -> Hits:
+def collide(obstacles: Obstacles, bodies: Bodies, *, exact: bool = True, pairs: bool = False) -> Hits:
     """Which bodies, in the image frame, touch an obstacle.
 
     Parameters
@@ -66,17 +66,20 @@ def collide(obstacles: Obstacles, bodies: Bodies, *, exact: bool = True) -> Hits
     exact : bool
         Decide what the envelope refuses by the distance between the body and the rectangles; without, the envelope's
         verdict stands, which refuses up to `obstacles.cover` too early and never passes what touches.
+    pairs : bool
+        Of every two bodies, where the first touches something, the second is not looked at any further: its verdict may
+        then be -1 whatever it touches.
     """
     n = len(bodies)
     hits = Hits(np.full(n, -1, dtype=np.int64), np.full((n, 3), np.nan))
     if n == 0 or not len(obstacles.cells):
         return hits
-    at = _march(obstacles, bodies, np.arange(n), bodies.length, hits, exact=False)
+    at = _march(obstacles, bodies, np.arange(n), bodies.length, hits, exact=False, pairs=pairs)
     if exact:
         refused = np.flatnonzero(hits.label >= 0)
         doubtful = refused[~_surely_touched(obstacles, bodies, refused, at[refused], hits)]
         hits.label[doubtful] = -1
-        _march(obstacles, bodies, doubtful, at[doubtful], hits, exact=True)
+        _march(obstacles, bodies, doubtful, at[doubtful], hits, exact=True, pairs=False)
     # A body that meets no surface lies wholly outside, or wholly inside one structure.
     rest = np.flatnonzero(hits.label < 0)
     hits.place[rest] = np.nan
@@ -86,7 +89,9 @@ def collide(obstacles: Obstacles, bodies: Bodies, *, exact: bool = True) -> Hits
     return hits
 
 
-def _march(obstacles: Obstacles, bodies: Bodies, rows: IntArray, start: FloatArray, hits: Hits, *, exact: bool) -> FloatArray:
+def _march(
+    obstacles: Obstacles, bodies: Bodies, rows: IntArray, start: FloatArray, hits: Hits, *, exact: bool, pairs: bool
+) -> FloatArray:
     """Walk along some axes from `start` mm ahead of their tails backwards, to the first hit or the tail; where each ended."""
     axis, ended = bodies.axis, np.zeros(len(bodies))
     live, at = rows, start.copy()
@@ -106,6 +111,8 @@ def _march(obstacles: Obstacles, bodies: Bodies, rows: IntArray, start: FloatArr
         ended[live] = at
         at = at - stride
         going = (at > 0.0) & (hits.label[live] < 0)
+        if pairs:
+            going &= (live % 2 == 0) | (hits.label[live - live % 2] < 0)
         live, at = live[going], at[going]
     return ended
 

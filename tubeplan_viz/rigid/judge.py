@@ -11,6 +11,7 @@ from segmentation.arrays import BoolArray, FloatArray, IntArray
 from tubeplan_viz.rigid.collision import collide, to_frame
 from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, posed, swept, unit, up_of
 from tubeplan_viz.rigid.obstacles import Obstacles
+from tubeplan_viz.rigid.verdicts import Verdicts, keys_of
 from tubeplan_viz.rigid.witnesses import Witnesses
 
 TURN_SLACK_MM = 0.4  # a turn that is not proved free with this much room is refused
@@ -36,9 +37,11 @@ class Judge:
     tests : int
         Instruments put to a test of any kind so far: a push counts 1, a turn as many poses as it takes.
     evaluations : int
-        Those of them that no witness decided.
+        Those of them that neither a verdict from before nor a witness decided.
     witnesses : Witnesses, optional
         What stopped instruments before; one that holds such a place is refused without an evaluation.
+    verdicts : Verdicts, optional
+        Of searches before among obstacles of which these are a part; what they decided is not asked again.
     """
 
     obstacles: Obstacles
@@ -49,6 +52,7 @@ class Judge:
     tests: int = field(default=0)
     evaluations: int = field(default=0)
     witnesses: Witnesses | None = None
+    verdicts: Verdicts | None = None
 
     def push(self, start: FloatArray, end: FloatArray, roll: FloatArray) -> tuple[IntArray, FloatArray]:
         """What the instrument meets while its tip goes from `start` to `end`, both (n, 3) LPS.
@@ -64,20 +68,34 @@ class Judge:
         return self._verdict(bodies.grown(self.margin) if self.margin else bodies)
 
     def _verdict(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
-        """What instruments (two bodies each, LPS mm) meet, first by the witnesses, then by an evaluation."""
+        """What instruments (two bodies each, LPS mm) meet: by verdicts from before, the witnesses, or an evaluation."""
         self.tests += len(bodies) // 2
+        if self.verdicts is None:
+            return self._witnessed(bodies)
+        keys = keys_of(bodies)
+        known, rows = self.verdicts.recall(keys)
+        label, place = np.full(len(keys), -1, dtype=np.int64), np.full((len(keys), 3), np.nan)
+        label[known], place[known] = self.verdicts.label[rows], self.verdicts.place[rows]
+        rest = np.flatnonzero(~known)
+        if len(rest):
+            label[rest], place[rest] = self._witnessed(bodies.take(both(rest)))
+            self.verdicts.fresh.append((keys[rest], label[rest], place[rest]))
+        return label, place
+
+    def _witnessed(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
         if self.witnesses is None:
             return self._evaluated(bodies)
         label, place = self.witnesses.stopping(bodies)
         rows = np.flatnonzero(label < 0)
-        label[rows], place[rows] = self._evaluated(bodies.take(np.column_stack([2 * rows, 2 * rows + 1]).reshape(-1)))
-        self.witnesses.add(label[rows], place[rows])
+        if len(rows):
+            label[rows], place[rows] = self._evaluated(bodies.take(both(rows)))
+            self.witnesses.add(label[rows], place[rows])
         return label, place
 
     def _evaluated(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
         self.evaluations += len(bodies) // 2
         bodies = to_frame(bodies, self.obstacles.frame)
-        hits = collide(self.obstacles, bodies, exact=self.exact)
+        hits = collide(self.obstacles, bodies, exact=self.exact, pairs=True)
         label, place = hits.label.reshape(-1, 2), hits.place.reshape(-1, 2, 3)
         # The shaver's hit is told where both hit.
         second = (label[:, 0] < 0).astype(int)
@@ -146,6 +164,11 @@ class Judge:
             trace = np.einsum("nij,nij->n", one, other)
             total += np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))
         return np.asarray(1.01 * total)
+
+
+def both(rows: IntArray) -> IntArray:
+    """Rows of shaver and endoscope of some instruments."""
+    return np.asarray(np.column_stack([2 * rows, 2 * rows + 1]).reshape(-1))
 
 
 def between(before: FloatArray, after: FloatArray, share: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from tubeplan_viz.rigid.polish import polish
 from tubeplan_viz.rigid.ranking import Ranking, Weights, rank
 from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
 from tubeplan_viz.rigid.tangent_search import search
+from tubeplan_viz.rigid.verdicts import Verdicts
 
 AROUND_MM = 25.0  # of structures beside the way that are kept; farther ones are no nearer than this
 BENT_RANKED_MM = 2.0  # of paths with bends one is ranked for every cube of starts of this side
@@ -144,11 +145,13 @@ def plan_rigid(
     tell = progress or (lambda stage, done, total: None)
     searches: dict[float, SearchResult] = {}
     known: Sequence[RigidPath] = ()
+    verdicts: Verdicts | None = None
     for share in sorted(problems):
         stage = f"search, mucosa shrunk {100 * share:.0f} %"
         problem = problems[share]
+        verdicts = Verdicts(problem.obstacles) if verdicts is None else verdicts.among(problem.obstacles)
         found = search(
-            problem.judge(),
+            replace(problem.judge(), verdicts=verdicts),
             problem.starts,
             problem.goal,
             settings,

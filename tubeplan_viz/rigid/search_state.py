@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,7 +101,7 @@ class SearchResult:
     tests : int
         Poses and pushes put to a collision test of any kind.
     evaluations : int
-        Those of them that no witness decided: cylinder envelope against the kd-tree.
+        Those of them that neither a verdict from before nor a witness decided: cylinder envelope against the kd-tree.
     legs : int
         Directions found in which the instrument, its tip on the goal, is free.
     """
@@ -149,16 +149,25 @@ class State:
         self.paths.append(RigidPath(np.array(nodes), float(roll), int(row)))
         self.solved[row] = True
 
-    def join(self, rows: IntArray, tails: Sequence[Sequence[FloatArray]], rolls: FloatArray) -> IntArray:
+    def join(
+        self,
+        rows: IntArray,
+        first: FloatArray,
+        second: FloatArray,
+        rolls: FloatArray,
+        after: Callable[[int], Sequence[FloatArray]],
+    ) -> IntArray:
         """Join starts to free ways to the goal by the push to the first node and the turn there.
 
         Parameters
         ----------
         rows : (n,) int array
             Starts; one may stand several times, its first free join counts.
-        tails : n sequences of (3,) float array, LPS mm
-            Nodes and goal.
+        first, second : (n, 3) float array, LPS mm
+            First node of each way, and what comes after it.
         rolls : (n,) float array, radian
+        after : callable
+            All that follows the first node of one of the n ways.
 
         Returns
         -------
@@ -167,15 +176,14 @@ class State:
         """
         if not len(rows):
             return np.empty(0, dtype=np.int64)
-        first, second = np.array([tail[0] for tail in tails]), np.array([tail[1] for tail in tails])
         label, _ = self.judge.push(self.starts[rows], first, rolls)
         self.note(rows, label)
         live = np.flatnonzero(label < 0)
-        before, after = unit(first[live] - self.starts[rows[live]]), unit(second[live] - first[live])
-        free = self.judge.turn(first[live], before, after, rolls[live])
+        ahead, further = unit(first[live] - self.starts[rows[live]]), unit(second[live] - first[live])
+        free = self.judge.turn(first[live], ahead, further, rolls[live])
         served = []
         for j in live[free]:
             if not self.solved[rows[j]]:
-                self.solve(int(rows[j]), (self.starts[rows[j]], *tails[j]), rolls[j])
+                self.solve(int(rows[j]), (self.starts[rows[j]], first[j], *after(int(j))), rolls[j])
                 served.append(j)
         return np.array(served, dtype=np.int64)

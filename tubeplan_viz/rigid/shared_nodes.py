@@ -11,16 +11,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from segmentation.arrays import FloatArray, IntArray
 from tubeplan_viz.rigid.instrument import unit
-from tubeplan_viz.rigid.search_state import SearchSettings, State
+from tubeplan_viz.rigid.search_state import RigidPath, SearchSettings, State
+from tubeplan_viz.rigid.ways import Ways
 
-LEAST_LEG_MM = 5.0  # between a node and the goal
 SPREAD_MM = 3.0  # between starts that are tried first
 BESIDE_MM = 3.6  # starts so near a solved one are offered everything
 LINES = 24  # free directions offered, over all rolls
@@ -29,42 +28,6 @@ OFFER_BATCH = 32  # offers made at a time
 FINER = (1.0, 0.9, 1.1, 0.8, 1.25, 0.65, 1.5)  # of a neighbour's turn
 FAN_BESIDE = 9  # directions nearest to a neighbour's that are tried
 TRIES = 256  # places that a start is offered in one wave
-
-
-@dataclass(frozen=True, eq=False)
-class Way:
-    """A free direction at the goal and the turn onto it, or a whole way from a node.
-
-    Attributes
-    ----------
-    direction : (3,) float array
-        From the goal outwards.
-    turn : float, radian
-        Where the line of the direction is entered.
-    tail : tuple of (3,) float array, LPS mm
-        Nodes and goal of a way with more bends; empty otherwise.
-    roll : float, radian
-    """
-
-    direction: FloatArray
-    turn: float
-    roll: float
-    tail: tuple[FloatArray, ...] = ()
-
-    @property
-    def key(self) -> tuple[int, ...]:
-        """The same for ways that hardly differ."""
-        fine = np.concatenate([self.direction * 1000.0, [np.degrees(self.turn), np.degrees(self.roll)], *self.tail[:1]])
-        return tuple(np.round(fine).astype(int).tolist())
-
-    def seen_from(self, start: FloatArray, goal: FloatArray) -> tuple[FloatArray, ...]:
-        """Nodes and goal for one start; empty where the turn lies too near the goal."""
-        if self.tail:
-            return self.tail
-        along = float((start - goal) @ self.direction)
-        aside = float(np.linalg.norm(start - goal - along * self.direction))
-        depth = along - aside / float(np.tan(self.turn))
-        return (goal + depth * self.direction, goal) if LEAST_LEG_MM <= depth < along - 1e-6 else ()
 
 
 def share(state: State, fans: Mapping[float, FloatArray], tell: Callable[[], None]) -> None:
@@ -81,18 +44,17 @@ def share(state: State, fans: Mapping[float, FloatArray], tell: Callable[[], Non
     """
     lines = [(direction, roll) for roll, fan in fans.items() for direction in fan]
     lines = [lines[k] for k in alternating(len(lines))[:LINES]]
-    pool = [Way(direction, turn, roll) for direction, roll in lines for turn in TURNS]
+    ways = Ways(state.goal)
+    pool = [ways.add(np.broadcast_to(direction, (len(TURNS), 3)), np.array(TURNS), roll) for direction, roll in lines]
     bent = {tuple(path.nodes[1]): path for path in state.paths if len(path.nodes) > 3}
-    pool += [
-        Way(unit(path.nodes[-2] - state.goal), 0.0, path.roll, tuple(path.nodes[1:])) for path in list(bent.values())[:LINES]
-    ]
-    pool = [pool[k] for k in alternating(len(pool))]
-    served = np.zeros(len(pool), dtype=np.int64)
+    pool += [_tail(ways, path) for path in list(bent.values())[:LINES]]
+    order = alternating(len(ways))
+    served = np.zeros(len(ways), dtype=np.int64)
     offered = state.solved.copy()
     rows = spread(state.starts, np.flatnonzero(~state.solved))
-    while len(rows) and len(pool):
+    while len(rows) and len(ways):
         offered[rows] = True
-        _offer(state, rows, pool, served)
+        _offer(state, rows, ways, order, served)
         tell()
         rest = np.flatnonzero(~offered & ~state.solved)
         if not state.solved.any() or not len(rest):
@@ -101,33 +63,36 @@ def share(state: State, fans: Mapping[float, FloatArray], tell: Callable[[], Non
         rows = rest[away <= BESIDE_MM]
 
 
-def _offer(state: State, rows: IntArray, pool: Sequence[Way], served: IntArray) -> None:
-    """Join starts to ways of the pool, those first that have served most; `served` is counted on."""
+def _offer(state: State, rows: IntArray, ways: Ways, pool: IntArray, served: IntArray) -> None:
+    """Join starts to ways of the pool, those first that have served most; `served` is counted on, in the pool's order."""
     order, batch, k = np.argsort(-served, kind="stable"), 1, 0
     while k < len(order):
         live = rows[~state.solved[rows]]
         if not len(live):
             return
-        pairs = [(int(row), int(j)) for row in live for j in order[k : k + batch]]
-        found = _join(state, [(row, pool[j]) for row, j in pairs])
-        np.add.at(served, [pairs[f][1] for f in found], 1)
+        some = order[k : k + batch]
+        which = np.tile(some, len(live))
+        found = _join(state, np.repeat(live, len(some)), ways, pool[which])
+        np.add.at(served, which[found], 1)
         k += batch
         batch = min(2 * batch, OFFER_BATCH)
 
 
-def _join(state: State, tries: Sequence[tuple[int, Way]]) -> list[int]:
+def _join(state: State, rows: IntArray, ways: Ways, which: IntArray) -> IntArray:
     """Join starts to ways as seen from them; which of the tries solved their start."""
-    tails = [way.seen_from(state.starts[row], state.goal) for row, way in tries]
-    which = [k for k, tail in enumerate(tails) if tail]
-    rows = np.array([tries[k][0] for k in which], dtype=np.int64)
-    found = state.join(rows, [tails[k] for k in which], np.array([tries[k][1].roll for k in which]))
-    return [which[f] for f in found]
+    first, second = ways.seen_from(which, state.starts[rows])
+    there = np.flatnonzero(~np.isnan(first[:, 0]))
+    some = which[there]
+    found = state.join(rows[there], first[there], second[there], ways.rolls(some), lambda j: ways.after(int(some[j])))
+    return there[found]
 
 
 def refine(state: State, fans: Mapping[float, FloatArray], settings: SearchSettings, tell: Callable[[], None]) -> None:
     """Offer starts beside solved ones what serves these, and ways beside it, until a wave solves nothing."""
     trees = {roll: cKDTree(fan) for roll, fan in fans.items() if len(fan)}
-    offered: set[tuple[int, tuple[int, ...]]] = set()
+    ways = Ways(state.goal)
+    beside: dict[int, IntArray] = {}  # ways by the start that they serve
+    offered: dict[int, IntArray] = {}  # keys of ways by the start that they were offered to
     fresh = np.flatnonzero(state.solved)
     for _ in range(settings.waves):
         rows = np.flatnonzero(~state.solved)
@@ -135,63 +100,84 @@ def refine(state: State, fans: Mapping[float, FloatArray], settings: SearchSetti
             return
         away, _ = cKDTree(state.starts[fresh]).query(state.starts[rows])
         rows = rows[away <= BESIDE_MM]
-        by_start = {path.start: k for k, path in enumerate(state.paths)}
+        by_start = {path.start: path for path in state.paths}
         solved = np.array(sorted(by_start), dtype=np.int64)
-        ways = {start: _beside(state, by_start[start], fans, trees) for start in solved.tolist()}
         near = cKDTree(state.starts[solved]).query_ball_point(state.starts[rows], BESIDE_MM)
-        tries: list[tuple[int, Way]] = []
+        wishes: list[IntArray] = []
         for row, found in zip(rows.tolist(), near, strict=True):
             others = solved[found]
             others = others[np.argsort(np.linalg.norm(state.starts[others] - state.starts[row], axis=1), kind="stable")]
-            lists = [ways[other] for other in others[: settings.neighbours].tolist()]
-            made = 0
-            # The nearest wishes of all neighbours first.
-            for place in range(max((len(some) for some in lists), default=0)):
-                for way in (some[place] for some in lists if place < len(some)):
-                    key = (row, way.key)
-                    if key not in offered and made < TRIES:
-                        offered.add(key)
-                        tries.append((row, way))
-                        made += 1
+            for other in others[: settings.neighbours].tolist():
+                if other not in beside:
+                    beside[other] = _beside(ways, by_start[other], fans, trees)
+            wishes.append(_in_turns([beside[other] for other in others[: settings.neighbours].tolist()]))
+        tries = [_not_offered(ways, row, wish, offered) for row, wish in zip(rows.tolist(), wishes, strict=True)]
         before = state.solved.copy()
         # In turns, so that a start that is solved early is not asked again.
-        rank = _rank([row for row, _ in tries])
         for turn in range(0, TRIES, 4):
-            asked = np.flatnonzero((rank >= turn) & (rank < turn + 4))
-            _join(state, [tries[k] for k in asked if not state.solved[tries[k][0]]])
+            parts = [
+                (row, some[turn : turn + 4]) for row, some in zip(rows.tolist(), tries, strict=True) if not state.solved[row]
+            ]
+            asked = np.repeat([row for row, _ in parts], [len(some) for _, some in parts])
+            if len(asked):
+                _join(state, asked, ways, np.concatenate([some for _, some in parts]))
         tell()
         fresh = np.flatnonzero(state.solved & ~before)
 
 
-def _beside(state: State, index: int, fans: Mapping[float, FloatArray], trees: Mapping[float, cKDTree]) -> list[Way]:
-    """What serves a solved start, and ways a little beside it."""
-    path = state.paths[index]
-    direction = unit(path.nodes[-2] - state.goal)
+def _in_turns(lists: Sequence[IntArray]) -> IntArray:
+    """The first of every list, then the second, and so on.
+
+    Examples
+    --------
+    >>> _in_turns([np.array([1, 2, 3]), np.array([7]), np.array([8, 9])]).tolist()
+    [1, 7, 8, 2, 9, 3]
+    """
+    if not lists:
+        return np.empty(0, dtype=np.int64)
+    place = np.concatenate([np.arange(len(some)) for some in lists])
+    return np.asarray(np.concatenate(lists)[np.argsort(place, kind="stable")])
+
+
+def _not_offered(ways: Ways, row: int, wishes: IntArray, offered: dict[int, IntArray]) -> IntArray:
+    """The first `TRIES` ways that a start was not offered yet, nor one that hardly differs; they count as offered then."""
+    keys = ways.keys(wishes)
+    _, first = np.unique(keys, return_index=True)
+    first.sort()
+    before = offered.get(row, np.empty(0, dtype=np.int64))
+    kept = first[~np.isin(keys[first], before)][:TRIES]
+    offered[row] = np.concatenate([before, keys[kept]])
+    return np.asarray(wishes[kept])
+
+
+def _beside(ways: Ways, path: RigidPath, fans: Mapping[float, FloatArray], trees: Mapping[float, cKDTree]) -> IntArray:
+    """The way that serves a solved start, and ways a little beside it."""
     if len(path.nodes) > 3:
-        return [Way(direction, 0.0, path.roll, tuple(path.nodes[1:]))]
-    if len(path.nodes) == 3:
+        return _tail(ways, path)
+    bent = len(path.nodes) == 3
+    direction = unit(path.nodes[-2] - path.nodes[-1])
+    if bent:
         before = unit(path.nodes[1] - path.nodes[0])
-        turns = [float(np.arccos(np.clip(-before @ direction, -1.0, 1.0)))]
-        made = [Way(direction, turns[0], path.roll)]
+        turns = np.arccos(np.clip(-before @ direction, -1.0, 1.0))[None]
     else:
         # Onto a straight path any turn may lead.
-        turns, made = list(TURNS), []
+        turns = np.array(TURNS)
+    directions, angles = [direction[None][: int(bent)]], [turns[: int(bent)]]
     if path.roll in trees:
-        _, beside = trees[path.roll].query(direction, k=min(FAN_BESIDE, len(fans[path.roll])))
-        for share_of in FINER if len(path.nodes) == 3 else (1.0,):
-            for turn in turns:
-                made += [Way(fans[path.roll][k], share_of * turn, path.roll) for k in np.atleast_1d(beside)]
-    return [way for way in made if way.tail or 0.02 < way.turn < 1.5]
+        fan = fans[path.roll]
+        _, near = trees[path.roll].query(direction, k=min(FAN_BESIDE, len(fan)))
+        near = np.atleast_1d(near)
+        wanted = np.concatenate([finer * turns for finer in (FINER if bent else (1.0,))])
+        directions.append(np.tile(fan[near], (len(wanted), 1)))
+        angles.append(np.repeat(wanted, len(near)))
+    turn = np.concatenate(angles)
+    kept = (turn > 0.02) & (turn < 1.5)
+    return ways.add(np.vstack(directions)[kept], turn[kept], path.roll)
 
 
-def _rank(rows: Sequence[int]) -> IntArray:
-    """How often each entry has stood before in a sequence."""
-    seen: dict[int, int] = {}
-    made = []
-    for row in rows:
-        made.append(seen.get(row, 0))
-        seen[row] = made[-1] + 1
-    return np.array(made, dtype=np.int64)
+def _tail(ways: Ways, path: RigidPath) -> IntArray:
+    """The way of a path with more than one bend, from its first node on."""
+    return ways.add_tail(unit(path.nodes[-2] - path.nodes[-1]), path.roll, list(path.nodes[1:]))
 
 
 def spread(points: FloatArray, rows: IntArray, side: float = SPREAD_MM) -> IntArray:

@@ -139,5 +139,6 @@ def _bend(
             live = np.setdiff1d(live, bent[~free])
         for j in live:
             longer.setdefault(int(rows[j]), [node[j], *suffixes[int(rows[j])]])
-        state.join(rows[live], [[node[j], *suffixes[int(rows[j])]] for j in live], rolls[live])
+        some = rows[live]
+        state.join(some, node[live], here[live], rolls[live], lambda j, some=some: suffixes[int(some[j])])  # type: ignore[misc]
     return {row: nodes for row, nodes in longer.items() if not state.solved[row]}

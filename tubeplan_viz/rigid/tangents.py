@@ -86,10 +86,11 @@ def _first_free(angle: FloatArray, spread: FloatArray) -> tuple[float, int] | No
     """
     low, high = angle - spread, angle + spread
     order = np.argsort(low)
-    theta, which = 0.0, -1
-    for k in order:
-        if low[k] > theta:
-            break
-        if high[k] > theta:
-            theta, which = float(high[k]), int(k)
-    return (theta + 1e-6, which) if which >= 0 and theta < 0.5 * np.pi else None
+    # Up to each interval the ones before it reach to the highest of their ends; the first that begins beyond leaves a gap.
+    reach = np.maximum.accumulate(np.concatenate([[0.0], high[order]]))
+    gap = np.flatnonzero(low[order] > reach[:-1])
+    last = int(gap[0]) if len(gap) else len(order)
+    theta = float(reach[last])
+    if theta <= 0.0 or theta >= 0.5 * np.pi:
+        return None
+    return theta + 1e-6, int(order[np.argmax(high[order[:last]] >= theta)])

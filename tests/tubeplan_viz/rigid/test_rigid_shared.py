@@ -12,7 +12,8 @@ from tubeplan_viz.rigid.instrument import unit
 from tubeplan_viz.rigid.obstacles import build_obstacles
 from tubeplan_viz.rigid.polish import polish
 from tubeplan_viz.rigid.search_state import SearchSettings, State
-from tubeplan_viz.rigid.shared_nodes import LEAST_LEG_MM, Way, alternating, refine, share, spread
+from tubeplan_viz.rigid.shared_nodes import alternating, refine, share, spread
+from tubeplan_viz.rigid.ways import LEAST_LEG_MM, Ways
 
 TOOL = CoupledInstrument()
 GOAL = np.array([40.0, 90.0, 40.0])
@@ -68,14 +69,35 @@ def test_a_closed_wall_leaves_no_direction() -> None:
 
 def test_a_way_is_entered_at_the_angle_it_names() -> None:
     direction, turn = unit(np.array([0.1, -1.0, 0.2])), np.radians(22.0)
-    for start in np.array([[30.0, 10.0, 35.0], [50.0, 12.0, 44.0]]):
-        node, goal = Way(direction, turn, 0.0).seen_from(start, GOAL)
+    ways = Ways(GOAL)
+    which = ways.add(np.tile(direction, (2, 1)), np.array([turn, np.radians(4.0)]), 0.0)
+    starts = np.array([[30.0, 10.0, 35.0], [50.0, 12.0, 44.0]])
+    first, second = ways.seen_from(which[[0, 0]], starts)
+    assert second == pytest.approx(np.tile(GOAL, (2, 1)))
+    for node, start in zip(first, starts, strict=True):
         assert unit(node - GOAL) == pytest.approx(direction, abs=1e-12)
-        assert np.arccos(unit(node - start) @ unit(goal - node)) == pytest.approx(turn, abs=1e-9)
+        assert np.arccos(unit(node - start) @ unit(GOAL - node)) == pytest.approx(turn, abs=1e-9)
+        assert np.linalg.norm(node - GOAL) >= LEAST_LEG_MM
     # Far aside a gentle turn would lie beyond the goal.
-    assert Way(direction, np.radians(4.0), 0.0).seen_from(np.array([70.0, 10.0, 40.0]), GOAL) == ()
-    near = Way(direction, turn, 0.0).seen_from(np.array([30.0, 10.0, 35.0]), GOAL)[0]
-    assert np.linalg.norm(near - GOAL) >= LEAST_LEG_MM
+    assert np.isnan(ways.seen_from(which[1:], np.array([[70.0, 10.0, 40.0]]))[0]).all()
+
+
+def test_ways_that_hardly_differ_have_one_key_and_tails_keep_their_nodes() -> None:
+    direction = unit(np.array([0.1, -1.0, 0.2]))
+    ways = Ways(GOAL)
+    first = ways.add(direction[None], np.radians([22.0]), 0.0)
+    tail = (np.array([30.0, 40.0, 41.0]), np.array([34.0, 60.0, 41.0]), GOAL)
+    bent = ways.add_tail(direction, 0.0, tail)
+    # 1e-5 is far below the thousandth of a unit vector and the degree that tell ways apart; 3 degrees are above.
+    again = ways.add(np.tile(direction + 1e-5, (2, 1)), np.radians([22.1, 25.0]), 0.0)
+    keys = ways.keys(np.concatenate([first, bent, again]))
+    assert keys[0] == keys[2]
+    assert len({keys[0], keys[1], keys[3]}) == 3
+    node, following = ways.seen_from(bent, np.array([[30.0, 10.0, 35.0]]))
+    assert node[0] == pytest.approx(tail[0])
+    assert following[0] == pytest.approx(tail[1])
+    assert [place.tolist() for place in ways.after(int(bent[0]))] == [tail[1].tolist(), GOAL.tolist()]
+    assert [place.tolist() for place in ways.after(int(first[0]))] == [GOAL.tolist()]
 
 
 def test_shared_ways_solve_starts_whose_straight_push_is_blocked_and_all_are_free() -> None:
