@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -41,7 +43,9 @@ class Aim:
     wall: WallDistance
     last: Stage
 
-    def command(self, step: Step, tip_at: float, push: float, offset: FloatArray, stage: Stage) -> Command:
+    def command(
+        self, step: Step, tip_at: float, push: float, offset: FloatArray, stage: Stage, *, follows: float = 1.0
+    ) -> Command:
         """The command after which the active sections lie best on the line, given where the push takes the base.
 
         Parameters
@@ -54,6 +58,8 @@ class Aim:
         offset : (3,) float array, mm
             From the stage's sub-goal to the sample: the line passes through the sample.
         stage : Stage
+        follows : float
+            Share of the proximal section's bend that its base is expected to follow (`following_share`).
         """
         robot, bends = self.robot, bends_of(step)
         ahead = tip_at + push
@@ -69,7 +75,7 @@ class Aim:
         line = line - sag
         wanted, base = bends, step.base
         for _ in range(AIM_ROUNDS):
-            base = advanced(step.base, robot, bends, wanted, push)
+            base = advanced(step.base, robot, follows * bends, follows * wanted, push)
             wanted = fitted(base, robot, wanted, line, room, direction)
         for _ in range(AWAY_ROUNDS):
             points = active_points(robot, base, wanted)[0] + sag
@@ -80,7 +86,7 @@ class Aim:
             # The line goes away from the wall where the robot would meet it, and the sections are laid on it anew.
             line = line + (np.maximum(short, 0.0) / np.maximum(gap, 1e-6))[:, None] * (points - foot)
             wanted = fitted(base, robot, wanted, line, room, direction)
-            base = advanced(step.base, robot, bends, wanted, push)
+            base = advanced(step.base, robot, follows * bends, follows * wanted, push)
         return command_of(wanted, push)
 
     def correction(self, step: Step, error: FloatArray) -> Command:
@@ -103,6 +109,31 @@ class Aim:
         size = float(np.linalg.norm(changed[1]))
         changed[1] *= min(1.0, robot.bend_max / max(size, 1e-12))
         return command_of(changed, float(x[0]))
+
+
+def following_share(steps: Sequence[Step], robot: Robot) -> float:
+    """Share of the proximal section's bend that its base has followed over some steps, 0 to 1.
+
+    Where the wall holds the shaft the base goes along the section's own arc: 1. In a wide lumen a shaft with weight goes straight
+    on, however the section before it is bent: 0. The share is that of least squares of where the base, and the place that lies
+    straight before it by the active length, have come.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        One after the other.
+    robot : Robot
+    """
+    places = np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, robot.active_length, 1.0]]).T
+    strayed = between = 0.0
+    for before, after in pairwise(steps):
+        push = 0.0 if after.command is None else after.command.push
+        first, last = bends_of(before), bends_of(after)
+        along, straight = (advanced(before.base, robot, k * first, k * last, push) @ places for k in (1.0, 0.0))
+        apart = (straight - along)[:3]
+        strayed += float(np.sum((after.base @ places - along)[:3] * apart))
+        between += float(np.sum(apart * apart))
+    return 1.0 - float(np.clip(strayed / between, 0.0, 1.0)) if between > SAG_NOTICED**2 else 1.0
 
 
 def bent_line(guide: Guide, s: FloatArray, offset: FloatArray, stage: Stage) -> FloatArray:

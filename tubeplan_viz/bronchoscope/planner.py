@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from segmentation.arrays import FloatArray
-from tubeplan_viz.bronchoscope.aiming import Aim
+from tubeplan_viz.bronchoscope.aiming import Aim, following_share
 from tubeplan_viz.bronchoscope.guide import Guide
 from tubeplan_viz.bronchoscope.mover import Command, Mover, Step
 from tubeplan_viz.bronchoscope.robot import Robot
@@ -28,6 +28,7 @@ from tubeplan_viz.geometry import WallDistance
 # A push of so many mm that takes the tip along the guide by less than this share of it has caught it on the wall: the shaft bends
 # out behind it. Shorter pushes turn the sections, which may take the tip aside or back.
 CAUGHT_PUSH, CAUGHT = 2.0, 0.25
+LATELY = 10.0  # mm of push from which the base's way is learnt
 
 
 def plan_segmented(
@@ -40,6 +41,7 @@ def plan_segmented(
     wall: WallDistance,
     rng: np.random.Generator,
     foresee: Mover | None = None,
+    learns: bool = False,
     watch: Callable[[Node, int], None] | None = None,
 ) -> RobotPlan:
     """Plan from the entrance to the guide's end.
@@ -59,6 +61,8 @@ def plan_segmented(
     rng : numpy.random.Generator
     foresee : Mover, optional
         A cheap mover that is asked first; pushes that it sees collide are not given to `mover`.
+    learns : bool
+        Expect the base to follow the proximal section's bend as far as it did in the last pushes, and not fully.
     watch : callable, optional
         Called with each new node and its number.
 
@@ -66,7 +70,7 @@ def plan_segmented(
     -------
     RobotPlan
     """
-    return _Growth(mover, robot, guide, stages, settings or PlannerSettings(), wall, rng, foresee, watch).run()
+    return _Growth(mover, robot, guide, stages, settings or PlannerSettings(), wall, rng, foresee, learns, watch).run()
 
 
 class _Growth:
@@ -82,10 +86,11 @@ class _Growth:
         wall: WallDistance,
         rng: np.random.Generator,
         foresee: Mover | None,
+        learns: bool,
         watch: Callable[[Node, int], None] | None,
     ) -> None:
         self.mover, self.guide, self.stages = mover, guide, stages
-        self.settings, self.rng, self.foresee, self.watch = settings, rng, foresee, watch
+        self.settings, self.rng, self.foresee, self.learns, self.watch = settings, rng, foresee, learns, watch
         self.aim = Aim(robot=robot, guide=guide, wall=wall, last=stages[-1])
         self.nodes: list[Node] = []
         self.failures: list[int] = []
@@ -185,9 +190,10 @@ class _Growth:
     def _push(self, origin: int, tip_at: float, left: float, offset: FloatArray, number: int) -> int | None:
         """One push from a node; the longest first that bends no section too quickly. None if all collide."""
         node, tally = self.nodes[origin], self.tallies[number]
+        follows = following_share(self._lately(origin), self.aim.robot) if self.learns else 1.0
         push = min(self.settings.push_max, left)
         while True:
-            command = self.aim.command(node.step, tip_at, push, offset, self.stages[number])
+            command = self.aim.command(node.step, tip_at, push, offset, self.stages[number], follows=follows)
             turned = float(np.linalg.norm(bends_of(replace(node.step, command=command)) - bends_of(node.step), axis=1).max())
             least = push <= min(self.settings.push_min, left)
             if turned <= self.settings.turn_max or least:
@@ -204,6 +210,16 @@ class _Growth:
                 if least:
                     return None
             push = max(0.6 * push, min(self.settings.push_min, left))
+
+    def _lately(self, number: int) -> list[Step]:
+        """The steps of the last `LATELY` mm of push to a node, the oldest first."""
+        made, pushed = [self.nodes[number].step], 0.0
+        while pushed < LATELY and self.nodes[number].parent >= 0:
+            command = made[-1].command
+            pushed += 0.0 if command is None else abs(command.push)
+            number = self.nodes[number].parent
+            made.append(self.nodes[number].step)
+        return made[::-1]
 
     def _foreseen(self, step: Step, command: Command) -> bool:
         """Whether the cheap mover, where there is one, sees the command collide."""

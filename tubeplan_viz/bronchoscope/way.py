@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -21,6 +22,7 @@ from tubeplan_viz.bronchoscope.route import Stage, make_stages
 from tubeplan_viz.bronchoscope.sequence import plan_at_once
 from tubeplan_viz.bronchoscope.target import Target
 from tubeplan_viz.centerline import Centerline, even_points
+from tubeplan_viz.geometry import WallDistance
 
 # A robot with contacts lies on the wall; deeper than this its body is out of the lumen (the simulator's leak bound), mm.
 LEAK = 0.3
@@ -30,6 +32,8 @@ BRUSH = 0.05
 ROOMY = 0.2
 # Samples before all commands are laid at once.
 FIRST_SAMPLES = 30
+# Samples with weight before it is learnt how the base goes.
+FIRST_MOVED = 20
 # Over the last millimetres the guide leaves the middle for a target beside it.
 LAST_BEND = 8.0
 
@@ -111,17 +115,40 @@ def plan_way(
         return Way(plan=exact, centerline=line, guide=guide, route=route)
     if first.reached:
         guide = guide_of(first, airway, target.point)
-    plan = plan_segmented(
-        simulator,
-        robot,
-        guide,
-        stages_on(airway, entrance, target, guide, robot),
-        replace(settings, body_margin=min(settings.body_margin, -LEAK), disc_margin=min(settings.disc_margin, -BRUSH)),
-        wall=airway.wall,
-        rng=rng,
-        watch=watch,
-    )
+    stages = stages_on(airway, entrance, target, guide, robot)
+    leaning = replace(settings, body_margin=min(settings.body_margin, -LEAK), disc_margin=min(settings.disc_margin, -BRUSH))
+    plan = plan_moved(simulator, robot, guide, stages, leaning, wall=airway.wall, rng=rng, watch=watch)
     return Way(plan=plan, centerline=line, guide=guide, route=route, foreplan=first)
+
+
+def plan_moved(
+    simulator: Mover,
+    robot: Robot,
+    guide: Guide,
+    stages: tuple[Stage, ...],
+    settings: PlannerSettings,
+    *,
+    wall: WallDistance,
+    rng: np.random.Generator,
+    watch: Watch | None = None,
+) -> RobotPlan:
+    """Plan with a mover that knows weight and contact; parameters as `plan_segmented`.
+
+    Where walls hold the shaft, its base follows the bend before it. In a wide lumen it does not, and a tip that is aimed as if
+    it did sinks and may miss a narrow mouth. So what the first samples do not reach is planned again from the entrance by
+    learning how the base goes. Of two plans that do not reach the goal, the one that came nearer is kept.
+    """
+    begun = time.perf_counter()
+    asked = replace(settings, samples_max=min(FIRST_MOVED, settings.samples_max))
+    plan = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, watch=watch)
+    left = None if settings.time_budget is None else settings.time_budget - (time.perf_counter() - begun)
+    if plan.reached or settings.samples_max <= FIRST_MOVED or (left is not None and left <= 0.0):
+        return plan
+    done = len(plan.nodes)
+    further = None if watch is None else lambda node, number: watch(node, done + number)
+    asked = replace(settings, samples_max=settings.samples_max - FIRST_MOVED, time_budget=left)
+    other = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, learns=True, watch=further)
+    return other if other.reached or other.tip_error < plan.tip_error else plan
 
 
 def replayed(mover: Mover, plan: RobotPlan) -> RobotPlan:
