@@ -62,6 +62,7 @@ class TargetView:
     """One target as printed."""
 
     label: str
+    name: str
     position: Phrase
     way: Phrase
     ceiling: Phrase
@@ -81,7 +82,7 @@ class MatrixPage:
     status: str
     counts: tuple[tuple[str, str, Figure], ...]
     warnings: tuple[str, ...]
-    labels: tuple[str, ...]
+    labels: tuple[tuple[str, str], ...]
     rows: tuple[RowView, ...]
     rule: str
     still: Markup
@@ -94,7 +95,7 @@ class MatrixPage:
 def make_matrix_page(document: Mapping[str, Any], surface: Surface) -> MatrixPage:
     """Everything that the page of one matrix shows; `document` is the content of matrix.json."""
     source = Source(document)
-    labels = tuple(str(target["label"]) for target in document["targets"])
+    labels = tuple((str(target["label"]), str(target["name"] or "")) for target in document["targets"])
     rows = tuple(_row(source, i) for i in range(len(document["instruments"])))
     counts = document["counts"]
     total = sum(counts.values())
@@ -182,6 +183,7 @@ def _target(source: Source, rows: tuple[RowView, ...], j: int) -> TargetView:
     widest = max(reached, key=lambda i: diameters[i]["outer_diameter_mm"], default=None)
     return TargetView(
         label=str(target["label"]),
+        name=str(target["name"] or ""),
         position=position,
         way=phrase(way) if way is not None else phrase("not joined to the start"),
         ceiling=phrase(source.need(f"{key}.ceiling_mm", 2, "mm")),
@@ -194,7 +196,7 @@ def _hindrances(document: Mapping[str, Any]) -> tuple[Hindrance, ...]:
     """Flagged cells one by one; what proves a target out of reach once, with all instruments that it keeps out."""
     flagged, narrow, sharp, other = [], [], [], []
     for j, target in enumerate(document["targets"]):
-        label = str(target["label"])
+        label = " ".join(filter(None, (target["label"], target["name"])))
         too_thick, too_stiff = [], dict[int, list[Mapping[str, Any]]]()
         for one, row in zip(document["instruments"], document["cells"], strict=True):
             cell = row[j]

@@ -14,6 +14,7 @@ import numpy as np
 from reports import render_matrix, write_page
 from segmentation.errors import CaseError
 from segmentation.mesh_files import write_ply
+from tubeplan_viz.cases.fields import end_place
 from tubeplan_viz.cases.tube import Case, case_table
 from tubeplan_viz.centerline import Endpoint
 from tubeplan_viz.instruments import (
@@ -27,7 +28,18 @@ from tubeplan_viz.instruments import (
     instrument_matrix,
     validate_matrix,
 )
-from tubeplan_viz.pipeline import Notify, Stopwatch, Tree, grow_tree, load_lumen, resolve_end, silent
+from tubeplan_viz.pipeline import (
+    Notify,
+    Stopwatch,
+    Tree,
+    case_end_names,
+    find_end,
+    grow_tree,
+    listing,
+    load_lumen,
+    resolve_end,
+    silent,
+)
 from tubeplan_viz.recording import record_matrix
 from tubeplan_viz.result import Provenance, RunFolder, plain
 from tubeplan_viz.tube.explain import bend_details
@@ -65,7 +77,7 @@ def run_matrix(
     target : Path
         The folder to make.
     goals : sequence of str
-        Labels of end points; none for all but the start.
+        Labels of end points or names of their parts; none for all but the start.
     instruments : sequence of Instrument
     before_start_mm : float
         Length of instrument used up before the start.
@@ -88,8 +100,9 @@ def run_matrix(
         lumen = load_lumen(case.input, near=case.planner.start, watch=watch)
         with watch.stage("centerlines"):
             tree = grow_tree(lumen.surface, closed_ends=settings.tube.closed_ends, settings=settings.tube.centerline)
-            start = resolve_end("start", case.planner.start or "E1", tree.endpoints)
-            chosen = choose_goals(goals, start, tree)
+            names = case_end_names(case, lumen, tree)
+            start = resolve_end("start", case.planner.start or "E1", tree.endpoints, names)
+            chosen = choose_goals(goals, start, tree, names)
             targets = find_targets(tree.wall, tree.graph, start, chosen, settings)
         with watch.stage("instruments") as progress:
             matrix = instrument_matrix(
@@ -99,7 +112,7 @@ def run_matrix(
         provenance = Provenance(
             inputs=lumen.inputs, rng_seed=None, settings=case_table(case) | {"matrix": {"before_start_mm": before_start_mm}}
         )
-        document = matrix_document(matrix, settings, start, provenance, watch.seconds)
+        document = matrix_document(matrix, settings, start, names, provenance, watch.seconds)
         document |= {"frame": written.frame, "case_id": case.input.case_id or "case", "warnings": list(lumen.warnings)}
         document = plain(document)
         if recording:
@@ -114,30 +127,28 @@ def run_matrix(
     return document
 
 
-def choose_goals(goals: Sequence[str], start: np.ndarray, tree: Tree) -> list[Endpoint]:
-    """End points by label, in the order asked for; all but the start without any.
+def choose_goals(goals: Sequence[str], start: np.ndarray, tree: Tree, names: Mapping[str, str]) -> list[Endpoint]:
+    """End points by label or by the name of their part, in the order asked for; all but the start without any.
 
     Raises
     ------
     CaseError
-        If a label is not there, stands twice, or is the start.
+        If one is not there, fits more than one end point, stands twice, or is the start.
     """
     at_start = [tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - start) < 1e-3]
-    by_label = {tip.label: tip for tip in tree.endpoints}
-    wanted = [goal.strip().upper() for goal in goals]
-    if not wanted or wanted == ["ALL"]:
+    if not goals or [goal.strip().casefold() for goal in goals] == ["all"]:
         found = [tip for tip in tree.endpoints if tip.label not in at_start]
         if not found:
             raise CaseError("the lumen has no end point beside the start; give a start at another place")
         return found
-    for label in wanted:
-        if label not in by_label:
-            raise CaseError(f"the lumen has no end point {label}; it has {', '.join(by_label)}")
+    wanted = [find_end("goal", str(end_place(goal, "--goals")), tree.endpoints, names) for goal in goals]
+    labels = [tip.label for tip in wanted]
+    for label in labels:
         if label in at_start:
-            raise CaseError(f"the goal {label} is the start; give other end points: {', '.join(by_label)}")
-        if wanted.count(label) > 1:
-            raise CaseError(f"the goal {label} stands {wanted.count(label)} times; give each once")
-    return [by_label[label] for label in wanted]
+            raise CaseError(f"the goal {label} is the start; give other end points: {listing(tree.endpoints, names)}")
+        if labels.count(label) > 1:
+            raise CaseError(f"the goal {label} stands {labels.count(label)} times; give each once")
+    return wanted
 
 
 def matrix_status(matrix: Matrix) -> str:
@@ -149,9 +160,14 @@ def matrix_status(matrix: Matrix) -> str:
 
 
 def matrix_document(
-    matrix: Matrix, settings: ReachSettings, start: np.ndarray, provenance: Provenance, timings: Mapping[str, float]
+    matrix: Matrix,
+    settings: ReachSettings,
+    start: np.ndarray,
+    names: Mapping[str, str],
+    provenance: Provenance,
+    timings: Mapping[str, float],
 ) -> dict[str, Any]:
-    """The content of matrix.json but for the case's own facts."""
+    """The content of matrix.json but for the case's own facts; `names` are those of the end points' parts by label."""
     return {
         "schema_version": 1,
         "use": "research use, not for clinical decisions",
@@ -165,6 +181,7 @@ def matrix_document(
         "targets": [
             {
                 "label": target.label,
+                "name": names.get(target.label),
                 "point_mm": target.point,
                 "way_mm": None if target.centerline is None else target.centerline.arc_length[-1],
                 "ceiling_mm": target.ceiling.bound,
@@ -222,9 +239,9 @@ def matrix_csv(document: Mapping[str, Any]) -> str:
     keys = ("verdict", *margin, "bend_radius_mm", "length_mm", "tip_clearance_mm", "reason")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["instrument", "outer_diameter_mm", "bend_radius_min_mm", "target", *keys])
+    writer.writerow(["instrument", "outer_diameter_mm", "bend_radius_min_mm", "target", "target_name", *keys])
     for one, row in zip(document["instruments"], document["cells"], strict=True):
         for goal, cell in zip(document["targets"], row, strict=True):
             figures = (one["outer_diameter_mm"], one["bend_radius_min_mm"])
-            writer.writerow([one["name"], *figures, goal["label"], *(cell[key] for key in keys)])
+            writer.writerow([one["name"], *figures, goal["label"], goal["name"], *(cell[key] for key in keys)])
     return text.getvalue()

@@ -15,7 +15,7 @@ from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import LUMEN, Outputs, outputs_into, some_case_options
 from tubeplan_viz.cli.show import EXIT_STATUS, name_pages, progress
-from tubeplan_viz.instruments import read_catalogue
+from tubeplan_viz.instruments import apart, read_catalogue
 from tubeplan_viz.matrix import run_matrix
 
 SIGNS = {"feasible": "holds", "flagged": "flag", "impossible": "no"}
@@ -28,7 +28,9 @@ TAKEN = (*LUMEN, "case_id", "start", "start_direction", "method", "closed_ends",
 def matrix(
     *,
     given: dict[str, dict[str, Any]],
-    goals: Annotated[str, typer.Option("--goals", help="Labels of `tubeplan endpoints`, comma-separated, or all.")] = "all",
+    goals: Annotated[
+        str, typer.Option("--goals", help="Labels or names of `tubeplan endpoints`, comma-separated, or all.")
+    ] = "all",
     catalogue: Annotated[Path | None, typer.Option("--catalogue", help="TOML file of instruments [typical ones].")] = None,
     before_start: Annotated[float, typer.Option("--before-start", help="Instrument used up before the start, mm.")] = 0.0,
     outputs: Outputs,
@@ -70,12 +72,17 @@ def show(document: Mapping[str, Any], folder: Path) -> None:
     table.add_column("instrument")
     table.add_column("diameter, bend mm")
     for target in document["targets"]:
-        table.add_column(target["label"], justify="right")
+        table.add_column("\n".join(filter(None, (target["label"], target["name"]))), justify="right", max_width=16)
     for one, row in zip(document["instruments"], document["cells"], strict=True):
-        cells = [SIGNS[cell["verdict"]] + ("" if cell["margin_mm"] is None else f" {cell['margin_mm']:+.2f}") for cell in row]
+        cells = [SIGNS[cell["verdict"]] + margin_words(cell["margin_mm"]) for cell in row]
         table.add_row(one["name"], f"{one['outer_diameter_mm']:.2f}, {one['bend_radius_min_mm']:g}", *cells)
     wide = 60 + 13 * len(document["targets"])
     Console(width=None if Console().is_terminal else wide).print(table)
     counts = document["counts"]
     typer.echo(f"{counts['feasible']} hold, {counts['flagged']} flagged, {counts['impossible']} proved impossible; margins in mm")
     name_pages(folder)
+
+
+def margin_words(margin: float | None) -> str:
+    """A margin with its sign, in mm, behind a verdict; nothing where there is none."""
+    return "" if margin is None else f" {'+' if margin >= 0.0 else ''}{apart(margin, 0.0)[0]}"

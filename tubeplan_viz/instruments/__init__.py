@@ -6,7 +6,7 @@ from tubeplan_viz.instruments.matrix import Matrix, find_targets, instrument_mat
 from tubeplan_viz.instruments.proof import SharpBend
 from tubeplan_viz.instruments.reach import ReachSettings
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
-from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness
+from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness, apart
 
 __all__ = [
     "CatalogueError",
@@ -20,6 +20,7 @@ __all__ = [
     "TipClearance",
     "Verdict",
     "Witness",
+    "apart",
     "find_targets",
     "instrument_matrix",
     "make_catalogue",

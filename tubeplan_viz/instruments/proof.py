@@ -14,7 +14,7 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.instruments.catalogue import Instrument
-from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness
+from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness, apart
 from tubeplan_viz.plan import Limits
 from tubeplan_viz.tube.bend import BendBound, bend_bound
 
@@ -90,10 +90,8 @@ def impossible(instrument: Instrument, target: Target, *, straight: float, bends
     ceiling, label = target.ceiling, target.label
     if instrument.radius > ceiling.bound:
         where = {"start": "at the start itself", "goal": f"at {label} itself", None: "on every way there"}[ceiling.end]
-        reason = (
-            f"proved: {where} the lumen leaves {ceiling.bound:.2f} mm at most, at {place_words(ceiling.place)}; "
-            f"{instrument.radius:.2f} mm are required"
-        )
+        left, needed = apart(ceiling.bound, instrument.radius)
+        reason = f"proved: {where} the lumen leaves {left} mm at most, at {place_words(ceiling.place)}; {needed} mm are required"
         return impossible_cell(instrument, label, reason, available=ceiling.bound, place=ceiling.place)
     if instrument.working_length_mm < straight:
         reason = (
@@ -107,9 +105,10 @@ def impossible(instrument: Instrument, target: Target, *, straight: float, bends
     if index is None:
         return None
     bound = bends[index].bound
+    left, needed = apart(bound.bound, instrument.radius)
     reason = (
-        f"proved: the bend at {place_words(bound.place)} leaves {bound.bound:.2f} mm at most at a bend radius of "
-        f"{1.0 / bends[index].limits.curvature_max:.1f} mm or more; {instrument.radius:.2f} mm are required"
+        f"proved: the bend at {place_words(bound.place)} leaves {left} mm at most at a bend radius of "
+        f"{1.0 / bends[index].limits.curvature_max:.1f} mm or more; {needed} mm are required"
     )
     return impossible_cell(instrument, label, reason, available=bound.bound, place=bound.place, bend=index)
 

@@ -8,6 +8,7 @@ from enum import StrEnum
 from segmentation.arrays import FloatArray, frozen_array
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.instruments.advance import Advance
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.tip import TipClearance
 from tubeplan_viz.plan import Limits
@@ -101,6 +102,8 @@ class Cell:
         Index into the target's witnesses.
     bend : int or None
         Index into the target's sharp bends, of the one that proves the cell impossible.
+    advance : Advance or None
+        Of a cell that is not feasible, how far the instrument comes; None where it is not known to leave the start.
     """
 
     instrument: str
@@ -118,6 +121,19 @@ class Cell:
     inferred_from: str | None = None
     path: int | None = None
     bend: int | None = None
+    advance: Advance | None = None
+
+
+def apart(value: float, limit: float) -> tuple[str, str]:
+    """Two numbers with as many decimals, 2 to 6, as tell them apart: what does not fit is never said to be as large.
+
+    Examples
+    --------
+    >>> apart(1.497, 1.5), apart(0.8, 1.5), apart(-0.003, 0.0)
+    (('1.497', '1.500'), ('0.80', '1.50'), ('-0.003', '0.000'))
+    """
+    digits = next((n for n in range(2, 7) if f"{value:.{n}f}".lstrip("-") != f"{limit:.{n}f}"), 2)
+    return f"{value:.{digits}f}", f"{limit:.{digits}f}"
 
 
 def witness_of(curve: SplineCurve, wall: WallDistance, limits: Limits) -> Witness:
@@ -143,8 +159,9 @@ def broken(instrument: Instrument, witness: Witness, tip: TipClearance | None, *
     said = []
     radius = instrument.radius
     if witness.clearance_bound < radius:
+        left, needed = apart(witness.clearance, radius)
         said.append(
-            f"clearance falls to {witness.clearance:.2f} mm at {witness.clearance_at:.1f} mm where {radius:.2f} mm are needed"
+            f"clearance falls to {left} mm at {witness.clearance_at:.1f} mm where {needed} mm are needed"
             if witness.clearance < radius
             else "the clearance between the samples could not be proved"
         )
@@ -156,9 +173,10 @@ def broken(instrument: Instrument, witness: Witness, tip: TipClearance | None, *
             else "the curvature between the samples could not be proved"
         )
     if tip is not None and tip.bound < radius:
+        left, needed = apart(tip.sampled, radius)
         said.append(
-            f"the rigid tip of {instrument.rigid_tip_mm:g} mm comes to {tip.sampled:.2f} mm of the wall "
-            f"with its front at {tip.arc_length:.1f} mm where {radius:.2f} mm are required"
+            f"the rigid tip of {instrument.rigid_tip_mm:g} mm comes to {left} mm of the wall "
+            f"with its front at {tip.arc_length:.1f} mm where {needed} mm are required"
         )
     if used > instrument.working_length_mm:
         said.append(f"{used:.0f} mm of instrument are needed, the working length is {instrument.working_length_mm:.0f} mm")

@@ -1,7 +1,7 @@
 """The one way through: case -> volume -> surface -> plan -> outputs."""
 
 from tubeplan_viz.pipeline.bronchoscope import run_bronchoscope
-from tubeplan_viz.pipeline.ends import case_end_names, find_end, pose_case, resolve_end
+from tubeplan_viz.pipeline.ends import case_end_names, find_end, listing, pose_case, resolve_end
 from tubeplan_viz.pipeline.lumen import Lumen, growth_details, load_lumen, segmentation_settings
 from tubeplan_viz.pipeline.needle import run_needle
 from tubeplan_viz.pipeline.options import RunOptions
@@ -22,6 +22,7 @@ __all__ = [
     "find_end",
     "grow_tree",
     "growth_details",
+    "listing",
     "load_lumen",
     "pose_case",
     "resolve_end",

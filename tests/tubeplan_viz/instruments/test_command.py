@@ -11,8 +11,11 @@ import pytest
 
 from reports.numbers import printed
 from segmentation.mesh_files import write_ply
+from segmentation.synthetic import weibel_airway
 from tubeplan_viz.cli.app import status_of
-from tubeplan_viz.instruments import MatrixError, validate_matrix
+from tubeplan_viz.cli.matrix import margin_words
+from tubeplan_viz.instruments import MatrixError, apart, validate_matrix
+from tubeplan_viz.recording.matrix import told
 
 CATALOGUE = """
 [[instrument]]
@@ -99,6 +102,34 @@ def test_a_bend_that_keeps_instruments_out_stands_in_document_page_table_and_rec
     assert float(rows[0]["available_mm"]) == pytest.approx(document["cells"][2][0]["available_mm"], abs=1e-4)
 
 
+def test_targets_bear_the_names_of_their_parts_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ply(weibel_airway(generations=1, voxel=1.0).surface, tmp_path / "airway.ply")
+    (tmp_path / "one.toml").write_text("[[instrument]]" + CATALOGUE.split("[[instrument]]")[1], encoding="utf-8")
+    call = ["matrix", "--mesh", str(tmp_path / "airway.ply"), "--anatomy", "airway", "--start", "Trachea", "-q"]
+    call += ["--catalogue", str(tmp_path / "one.toml")]
+    assert status_of([*call, "--goals", "left main,right main", "-o", str(tmp_path / "out")]) == 0
+    printed_table = capsys.readouterr().out
+    document = json.loads((tmp_path / "out" / "matrix.json").read_text(encoding="utf-8"))
+    names = [target["name"] for target in document["targets"]]
+    assert names == ["left main bronchus", "right main bronchus"]
+    with (tmp_path / "out" / "matrix.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["target_name"] for row in csv.DictReader(file)] == names
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8").split("<script")[0]
+    recorded = told(document, document["instruments"][0], document["cells"][0])
+    for name in names:
+        assert f"<small>{name}</small></th>" in page
+        assert f"{name}**: holds" in recorded
+        assert all(word in printed_table for word in name.split())
+    assert status_of([*call, "--goals", "main", "-o", str(tmp_path / "two")]) == 2
+    assert "the goal 'main' fits 2 end points, E2 " in capsys.readouterr().err
+
+
+def test_what_does_not_fit_is_never_told_to_be_as_large_as_what_is_required() -> None:
+    assert apart(1.4967, 1.5) == ("1.497", "1.500")
+    assert margin_words(-0.003) == " -0.003"
+    assert margin_words(0.3) == " +0.30"
+
+
 def test_a_document_that_contradicts_itself_is_refused(made: tuple[Path, int]) -> None:
     place, _ = made
     document = json.loads((place / "out" / "matrix.json").read_text(encoding="utf-8"))
@@ -119,7 +150,7 @@ def test_a_document_that_contradicts_itself_is_refused(made: tuple[Path, int]) -
         (["--goal", "E2"], "--goal does not apply here"),
         (["--tolerance", "2,2"], "No such option: --tolerance"),
         (["--catalogue", "none.toml"], "none.toml: no such catalogue file"),
-        (["--before-start", "-1"], "before_start_mm is -1"),
+        (["--before-start", "-1"], "--before-start is -1, expected 0 to 10000"),
     ],
 )
 def test_bad_input_is_one_sentence_and_leaves_nothing(
