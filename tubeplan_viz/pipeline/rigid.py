@@ -166,8 +166,11 @@ def shrunken_problems(case: RigidCase, given: RigidInput) -> tuple[dict[float, S
     amounts = sorted({*VERDICTS, case.shrinkage})
     instrument, _, _ = case.instrument
     shrunk = {amount: shrink(given.scene, amount, case.side) for amount in amounts}
-    problems = {
-        amount: make_problem(found.scene, case.side, given.lesion.center, instrument=instrument, margin=case.margin)
-        for amount, found in shrunk.items()
-    }
+    problems: dict[float, Problem] = {}
+    for amount, found in shrunk.items():
+        # Of all structures only septum and turbinate differ.
+        like = next(iter(problems.values())).obstacles if problems else None
+        problems[amount] = make_problem(
+            found.scene, case.side, given.lesion.center, instrument=instrument, margin=case.margin, like=like
+        )
     return shrunk, problems

@@ -54,8 +54,10 @@ class Judge:
     witnesses: Witnesses | None = None
     verdicts: Verdicts | None = None
 
-    def push(self, start: FloatArray, end: FloatArray, roll: FloatArray) -> tuple[IntArray, FloatArray]:
+    def push(self, start: FloatArray, end: FloatArray, roll: FloatArray, *, anew: bool = False) -> tuple[IntArray, FloatArray]:
         """What the instrument meets while its tip goes from `start` to `end`, both (n, 3) LPS.
+
+        With `anew` all are evaluated: what is told then is what each meets first here, not what is known to be in its way.
 
         Returns
         -------
@@ -65,27 +67,32 @@ class Judge:
             Of that structure; not a number where it is free.
         """
         bodies = swept(self.instrument, start, end, roll)
-        return self._verdict(bodies.grown(self.margin) if self.margin else bodies)
+        return self._verdict(bodies.grown(self.margin) if self.margin else bodies, anew=anew)
 
-    def _verdict(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
+    def _verdict(self, bodies: Bodies, *, anew: bool = False) -> tuple[IntArray, FloatArray]:
         """What instruments (two bodies each, LPS mm) meet: by verdicts from before, the witnesses, or an evaluation."""
         self.tests += len(bodies) // 2
         if self.verdicts is None:
-            return self._witnessed(bodies)
+            return self._witnessed(bodies, anew=anew)
         keys = keys_of(bodies)
         known, rows = self.verdicts.recall(keys)
+        if anew:
+            known, rows = np.zeros_like(known), rows[:0]
         label, place = np.full(len(keys), -1, dtype=np.int64), np.full((len(keys), 3), np.nan)
         label[known], place[known] = self.verdicts.label[rows], self.verdicts.place[rows]
+        if self.witnesses is not None:
+            self.witnesses.add(label[known], place[known])
         rest = np.flatnonzero(~known)
         if len(rest):
-            label[rest], place[rest] = self._witnessed(bodies.take(both(rest)))
+            label[rest], place[rest] = self._witnessed(bodies.take(both(rest)), anew=anew)
             self.verdicts.fresh.append((keys[rest], label[rest], place[rest]))
         return label, place
 
-    def _witnessed(self, bodies: Bodies) -> tuple[IntArray, FloatArray]:
+    def _witnessed(self, bodies: Bodies, *, anew: bool) -> tuple[IntArray, FloatArray]:
         if self.witnesses is None:
             return self._evaluated(bodies)
-        label, place = self.witnesses.stopping(bodies)
+        n = len(bodies) // 2
+        label, place = (np.full(n, -1, dtype=np.int64), np.full((n, 3), np.nan)) if anew else self.witnesses.stopping(bodies)
         rows = np.flatnonzero(label < 0)
         if len(rows):
             label[rows], place[rows] = self._evaluated(bodies.take(both(rows)))

@@ -7,8 +7,9 @@ faces are cut into small rectangles ("cells"); a kd-tree holds their centres, an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,6 +78,10 @@ class Field:
     low: FloatArray
     spacing: FloatArray
 
+    def covers(self, low: IntArray, shape: tuple[int, ...]) -> bool:
+        """Whether the field stands on the voxels of a box: its first one and how many there are along each axis."""
+        return self.values.shape == shape and np.array_equal(self.low, low * self.spacing)
+
     def bounds(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What the distance of (n, 3) points to the surface cannot be less and not be more than; for points outside."""
         # A distance changes by no more than the way walked, and the box of the field holds all of the structure:
@@ -94,6 +99,17 @@ class Field:
         inner = np.minimum(off, 0.5 * self.spacing)
         least = known - np.sqrt(np.einsum("ij,ij->i", inner, inner))
         return np.where(beyond > 0.0, np.maximum(beyond, least), least), most
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """One structure ready for queries; as in `Obstacles`."""
+
+    mask: BoolArray
+    cells: FloatArray
+    half: FloatArray
+    tree: cKDTree
+    field: Field
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +155,48 @@ class Obstacles:
             found[there & (found < 0)] = k
         return found
 
+    def structures(self) -> dict[str, Structure]:
+        """Each structure by its name."""
+        parts = zip(self.names, self.masks, self.rows, self.trees, self.fields, strict=True)
+        return {name: Structure(mask, self.cells[r], self.half[r], tree, own) for name, mask, r, tree, own in parts}
+
+    def without(self, names: Collection[str]) -> Obstacles:
+        """These obstacles but some."""
+        return _joined(self.frame, {name: one for name, one in self.structures().items() if name not in names})
+
+
+def _joined(frame: Frame, structures: Mapping[str, Structure]) -> Obstacles:
+    """Obstacles of structures on the same part of the same volume."""
+    parts = tuple(structures.values())
+    cells = np.vstack([one.cells for one in parts]) if parts else np.empty((0, 3))
+    half = np.vstack([one.half for one in parts]) if parts else np.empty((0, 3))
+    ends = np.cumsum([0, *(len(one.cells) for one in parts)])
+    if parts:
+        field = Field(np.minimum.reduce([one.field.values for one in parts]), parts[0].field.low, frame.spacing)
+    else:
+        field = Field(np.full((1, 1, 1), 1e6, np.float32), np.zeros(3), frame.spacing)
+    return Obstacles(
+        frame=frame,
+        names=tuple(structures),
+        masks=tuple(one.mask for one in parts),
+        cells=cells,
+        half=half,
+        label=np.repeat(np.arange(len(parts)), np.diff(ends)),
+        cover=float(np.linalg.norm(half, axis=1).max()) if len(half) else 0.0,
+        tree=cKDTree(cells if len(cells) else np.full((1, 3), 1e9), balanced_tree=False),
+        trees=tuple(one.tree for one in parts),
+        rows=tuple(np.arange(first, last) for first, last in pairwise(ends.tolist())),
+        field=field,
+        fields=tuple(one.field for one in parts),
+    )
+
 
 def build_obstacles(
-    volume: Volume, masks: Mapping[str, BoolArray], *, within: tuple[FloatArray, FloatArray] | None = None
+    volume: Volume,
+    masks: Mapping[str, BoolArray],
+    *,
+    within: tuple[FloatArray, FloatArray] | None = None,
+    like: Obstacles | None = None,
 ) -> Obstacles:
     """Obstacles of named masks on the voxels of a volume.
 
@@ -153,6 +208,8 @@ def build_obstacles(
         Empty ones are left out.
     within : pair of (3,) float array, mm, optional
         Corners of a box in the image frame; voxels beyond it are left out.
+    like : Obstacles, optional
+        On the same volume; what is the same there is taken from there.
     """
     frame = Frame.of(volume)
     low, high = np.zeros(3, int), np.array(volume.voxels.shape)
@@ -160,44 +217,23 @@ def build_obstacles(
         low = np.clip(np.floor(within[0] / frame.spacing).astype(int), 0, high)
         high = np.clip(np.ceil(within[1] / frame.spacing).astype(int) + 1, low, high)
     window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    names: list[str] = []
-    kept: list[BoolArray] = []
-    cells: list[FloatArray] = []
-    half: list[FloatArray] = []
-    label: list[IntArray] = []
+    known = {} if like is None else like.structures()
+    made: dict[str, Structure] = {}
     for name, mask in masks.items():
         part = mask[window]
         if not part.any():
             continue
-        centres, sides = exposed_cells(part, frame.spacing)
         inside = np.zeros_like(mask, dtype=bool)
         inside[window] = part
-        label.append(np.full(len(centres), len(names), dtype=np.int64))
-        names.append(name)
-        kept.append(inside)
-        cells.append(centres + low * frame.spacing)
-        half.append(sides)
-    points = np.vstack(cells) if cells else np.empty((0, 3))
-    sides = np.vstack(half) if half else np.empty((0, 3))
-    labels = np.concatenate(label) if label else np.empty(0, np.int64)
-    rows = tuple(np.flatnonzero(labels == k) for k in range(len(names)))
-    trees = tuple(cKDTree(points[r], balanced_tree=False) for r in rows)
-    fields = tuple(_field(mask[window], tree, low * frame.spacing, frame.spacing) for mask, tree in zip(kept, trees, strict=True))
-    nearest = np.minimum.reduce([field.values for field in fields]) if fields else np.full((1, 1, 1), 1e6, np.float32)
-    return Obstacles(
-        frame,
-        tuple(names),
-        tuple(kept),
-        points,
-        sides,
-        labels,
-        float(np.linalg.norm(sides, axis=1).max()) if len(sides) else 0.0,
-        cKDTree(points if len(points) else np.full((1, 3), 1e9), balanced_tree=False),
-        trees,
-        rows,
-        Field(nearest, low * frame.spacing, frame.spacing),
-        fields,
-    )
+        same = known.get(name)
+        if same is not None and same.field.covers(low, part.shape) and np.array_equal(same.mask, inside):
+            made[name] = same
+            continue
+        centres, sides = exposed_cells(part, frame.spacing)
+        centres = centres + low * frame.spacing
+        tree = cKDTree(centres, balanced_tree=False)
+        made[name] = Structure(inside, centres, sides, tree, _field(part, tree, low * frame.spacing, frame.spacing))
+    return _joined(frame, made)
 
 
 def _field(mask: BoolArray, tree: cKDTree, low: FloatArray, spacing: FloatArray) -> Field:

@@ -18,7 +18,7 @@ from tubeplan_viz.rigid.obstacles import Obstacles, build_obstacles
 from tubeplan_viz.rigid.polish import polish
 from tubeplan_viz.rigid.ranking import Ranking, Weights, rank
 from tubeplan_viz.rigid.search_state import RigidPath, SearchResult, SearchSettings
-from tubeplan_viz.rigid.tangent_search import search
+from tubeplan_viz.rigid.tangent_search import cannot_stand, search
 from tubeplan_viz.rigid.verdicts import Verdicts
 
 AROUND_MM = 25.0  # of structures beside the way that are kept; farther ones are no nearer than this
@@ -89,12 +89,19 @@ class RigidPlan:
 
 
 def make_problem(
-    scene: NasalScene, side: str, goal: FloatArray, *, instrument: CoupledInstrument, margin: float = 0.0
+    scene: NasalScene,
+    side: str,
+    goal: FloatArray,
+    *,
+    instrument: CoupledInstrument,
+    margin: float = 0.0,
+    like: Obstacles | None = None,
 ) -> Problem:
     """Obstacles and starts of one side.
 
     The obstacles are the named structures, both orbits and both turbinates, and the border of the entry region. Other
     bone and soft tissue is no wall: what the channel takes of it counts as tissue to be removed (the text's f_t).
+    Structures that are the same in the obstacles `like`, of another state of the mucosa, are taken from there.
 
     Raises
     ------
@@ -117,7 +124,8 @@ def make_problem(
     box = np.stack(np.meshgrid(*np.column_stack([low, high]), indexing="ij"), axis=-1).reshape(-1, 3)
     linear = volume.index_to_lps[:3, :3]
     inside = (box - volume.index_to_lps[:3, 3]) @ (linear / np.linalg.norm(linear, axis=0))
-    obstacles = build_obstacles(volume, {**scene.structures, BORDER: border}, within=(inside.min(axis=0), inside.max(axis=0)))
+    box_of_way = inside.min(axis=0), inside.max(axis=0)
+    obstacles = build_obstacles(volume, {**scene.structures, BORDER: border}, within=box_of_way, like=like)
     return Problem(scene, side, goal, starts, obstacles, instrument, margin)
 
 
@@ -143,23 +151,7 @@ def plan_rigid(
         Told the stage, and how many starts of how many are decided.
     """
     tell = progress or (lambda stage, done, total: None)
-    searches: dict[float, SearchResult] = {}
-    known: Sequence[RigidPath] = ()
-    verdicts: Verdicts | None = None
-    for share in sorted(problems):
-        stage = f"search, mucosa shrunk {100 * share:.0f} %"
-        problem = problems[share]
-        verdicts = Verdicts(problem.obstacles) if verdicts is None else verdicts.among(problem.obstacles)
-        found = search(
-            replace(problem.judge(), verdicts=verdicts),
-            problem.starts,
-            problem.goal,
-            settings,
-            known=known,
-            progress=lambda done, total, stage=stage: tell(stage, done, total),  # type: ignore[misc]
-        )
-        searches[share] = found
-        known = found.paths
+    searches = search_all(problems, settings, tell)
     planned = problems[amount]
     paths = ranked_paths(searches[amount].paths)
     tell("goals", 0, len(paths))
@@ -168,6 +160,37 @@ def plan_rigid(
         tell("best paths refined", 0, len(paths))
         paths, goals = refined(planned, paths, goals, weights)
     return RigidPlan(planned, searches, paths, goals, rank(goals, weights) if paths else None, searches[amount])
+
+
+def search_all(problems: Mapping[float, Problem], settings: SearchSettings, tell: Progress) -> dict[float, SearchResult]:
+    """Search at every amount of shrinkage; parameters as `plan_rigid`."""
+    # Strategy: paths found with less shrinkage stand with more, and so do verdicts: the amounts are taken in rising order. The
+    # most shrunk one goes before where it may decide: if no instrument can stand at the goal there, and the search finds no path
+    # either, there is none with more tissue, and only what blocks the straight pushes is left to be told.
+    amounts, most = sorted(problems), problems[max(problems)]
+
+    def searched(share: float, verdicts: Verdicts, known: Sequence[RigidPath], settings: SearchSettings) -> SearchResult:
+        stage, problem = f"search, mucosa shrunk {100 * share:.0f} %", problems[share]
+        judge = replace(problem.judge(), verdicts=verdicts)
+        return search(
+            judge, problem.starts, problem.goal, settings, known=known, progress=lambda done, total: tell(stage, done, total)
+        )
+
+    looked = Verdicts(most.obstacles)
+    if len(amounts) > 1 and cannot_stand(replace(most.judge(), verdicts=looked), most.starts, most.goal, settings):
+        last = searched(amounts[-1], looked.among(most.obstacles), (), settings)
+        if not last.feasible.any():
+            straight = replace(settings, nodes=0)
+            before = {share: searched(share, Verdicts(problems[share].obstacles), (), straight) for share in amounts[:-1]}
+            return {**before, amounts[-1]: last}
+    searches: dict[float, SearchResult] = {}
+    known: Sequence[RigidPath] = ()
+    verdicts = Verdicts(problems[amounts[0]].obstacles)
+    for share in amounts:
+        verdicts = verdicts.among(problems[share].obstacles)
+        searches[share] = searched(share, verdicts, known, settings)
+        known = searches[share].paths
+    return searches
 
 
 def refined(

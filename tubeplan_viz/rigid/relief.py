@@ -17,7 +17,6 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.rigid.free_directions import direction_grid, free_directions
 from tubeplan_viz.rigid.instrument import CoupledInstrument
-from tubeplan_viz.rigid.obstacles import build_obstacles
 from tubeplan_viz.rigid.planner import Problem
 from tubeplan_viz.rigid.witnesses import Witnesses
 
@@ -68,23 +67,26 @@ def reliefs(problem: Problem, rolls: FloatArray, thinnest: CoupledInstrument) ->
     close = own.scope_radius + own.shaver_radius + CLOSEST_MM
     removable = [name for name in problem.obstacles.names if name in (f"turbinate_{problem.side}", "septum")]
     rolls = rolls[[0, -2, -1]] if len(rolls) > 2 else rolls
-    yield _tried(problem, rolls, "")
+    # What stops one instrument is in the way of others too, for as long as nothing is taken away.
+    seen = Witnesses()
+    yield _tried(problem, rolls, "", seen)
     thin = f"the thinnest instruments ({thinnest.scope_diameter:g} and {thinnest.shaver_diameter:g} mm)"
     thinner = (thinnest.scope_diameter, thinnest.shaver_diameter) != (own.scope_diameter, own.shaver_diameter)
     if thinner:
-        yield _tried(replace(problem, instrument=thinnest), rolls, thin)
+        yield _tried(replace(problem, instrument=thinnest), rolls, thin, seen)
     if close < own.offset:
         nearer = f"the endoscope {close:.1f} mm above the shaver"
-        yield _tried(replace(problem, instrument=replace(own, offset=close)), rolls, nearer)
-    yield _tried(problem, ROLLS_WIDE, "the endoscope rolled to the side, up to 90 degrees")
+        yield _tried(replace(problem, instrument=replace(own, offset=close)), rolls, nearer, seen)
+    yield _tried(problem, ROLLS_WIDE, "the endoscope rolled to the side, up to 90 degrees", seen)
     for name in removable:
-        yield _tried(_without(problem, [name]), rolls, _told(name))
+        yield _tried(_without(problem, [name]), rolls, _told(name), Witnesses())
     slim = replace(thinnest, offset=min(closest, own.offset))
     together = f"the thinnest instruments {slim.offset:.1f} mm apart, rolled by up to 90 degrees"
-    yield _tried(replace(problem, instrument=slim), ROLLS_WIDE, together)
+    yield _tried(replace(problem, instrument=slim), ROLLS_WIDE, together, seen)
     if removable:
         cleared = replace(_without(problem, removable), instrument=slim)
-        yield _tried(cleared, ROLLS_WIDE, f"{together}, {' and '.join(_told(name) for name in removable)}")
+        told = " and ".join(_told(name) for name in removable)
+        yield _tried(cleared, ROLLS_WIDE, f"{together}, {told}", Witnesses())
 
 
 def _told(name: str) -> str:
@@ -94,24 +96,22 @@ def _told(name: str) -> str:
 
 def _without(problem: Problem, names: list[str]) -> Problem:
     """The problem with some structures left out."""
-    obstacles = problem.obstacles
-    masks = {name: mask for name, mask in zip(obstacles.names, obstacles.masks, strict=True) if name not in names}
-    low = obstacles.field.low
-    high = low + (np.array(obstacles.field.values.shape) - 1) * obstacles.frame.spacing
-    return replace(problem, obstacles=build_obstacles(problem.scene.volume, masks, within=(low, high)))
+    return replace(problem, obstacles=problem.obstacles.without(names))
 
 
-def _tried(problem: Problem, rolls: FloatArray, change: str) -> Relief:
-    """Directions and straight pushes of one problem."""
-    judge = replace(problem.judge(), witnesses=Witnesses())
+def _tried(problem: Problem, rolls: FloatArray, change: str, witnesses: Witnesses) -> Relief:
+    """Directions and straight pushes of one problem; `witnesses` are of its obstacles, whatever the instrument."""
+    judge = replace(problem.judge(), witnesses=witnesses)
     names, starts, goal = problem.obstacles.names, problem.starts, problem.goal
     grid, reach = direction_grid(starts, goal)
-    label, _ = judge.push(goal + reach * grid, np.broadcast_to(goal, grid.shape), np.full(len(grid), rolls[0]))
+    ends = np.broadcast_to(goal, grid.shape)
+    label, _ = judge.push(goal + reach * grid, ends, np.full(len(grid), rolls[0]), anew=True)
     straight, free = np.zeros(len(starts), dtype=bool), 0
     for roll in rolls:
         # Straight pushes lie along free directions: where the grid shows none, a share of the starts is looked at.
         fan = free_directions(judge, starts, goal, float(roll), known=np.empty((0, 3)))
         rows = np.arange(0, len(starts), 1 if len(fan) else SPARSE)
+        rows = rows[~straight[rows]]
         found, _ = judge.push(starts[rows], np.broadcast_to(goal, (len(rows), 3)), np.full(len(rows), roll))
         straight[rows] |= found < 0
         free += len(fan)

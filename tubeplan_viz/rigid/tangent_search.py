@@ -87,6 +87,19 @@ def search(
     )
 
 
+def cannot_stand(judge: Judge, starts: FloatArray, goal: FloatArray, settings: SearchSettings) -> bool:
+    """Whether no straight push is free, nor any direction at the goal that the finest grids look at.
+
+    Then a path is not to be expected; it is not ruled out, since directions between those of the grids are not looked at.
+    """
+    judge = replace(judge, witnesses=judge.witnesses or Witnesses())
+    for roll in settings.roll_values:
+        label, _ = judge.push(starts, np.broadcast_to(goal, starts.shape), np.full(len(starts), roll))
+        if (label < 0).any() or len(free_directions(judge, starts, goal, float(roll), known=np.empty((0, 3)))):
+            return False
+    return True
+
+
 def _fan(state: State, roll: float) -> FloatArray:
     """Free directions at the goal, looked for around the last segments that are known too."""
     ends = [path.nodes[-2] for path in state.paths if path.roll == roll]
@@ -102,7 +115,7 @@ def _straight(state: State, settings: SearchSettings) -> tuple[IntArray, FloatAr
         if not len(rows):
             break
         ends = np.broadcast_to(state.goal, (len(rows), 3))
-        label, place = state.judge.push(state.starts[rows], ends, np.full(len(rows), roll))
+        label, place = state.judge.push(state.starts[rows], ends, np.full(len(rows), roll), anew=k == 0)
         if k == 0:
             blocked_by, blocked_at = label, place
         state.note(rows, label)

@@ -66,7 +66,8 @@ class Verdicts:
             if len(hit) and name in obstacles.names:
                 renamed[hit] = obstacles.names.index(name)
                 stands[hit] = of_surface(obstacles, int(renamed[hit[0]]), place[hit])
-        rows = np.flatnonzero(stands)
+        # Where one was asked anew, the later verdict is taken: the first of equal ones in order is found.
+        rows = np.flatnonzero(stands)[::-1]
         rows = rows[np.argsort(keys[rows, 0], kind="stable")]
         return Verdicts(obstacles, keys[rows], renamed[rows], place[rows])
 

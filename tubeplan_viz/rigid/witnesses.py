@@ -32,11 +32,11 @@ class Witnesses:
     def add(self, label: IntArray, place: FloatArray) -> None:
         """Remember what stopped some instruments: structures (n,), -1 for none, and places (n, 3), LPS mm."""
         hit = label >= 0
+        if not hit.any():
+            return
         labels = np.concatenate([self._label, label[hit]])
         places = np.vstack([self._place, place[hit]])
         counts = np.concatenate([self._count, np.ones(int(hit.sum()), dtype=np.int64)])
-        if not len(labels):
-            return
         cube = np.column_stack([np.floor(places / CELL_MM).astype(np.int64), labels])
         _, first, which = np.unique(cube, axis=0, return_index=True, return_inverse=True)
         total = np.bincount(which.reshape(-1), weights=counts).astype(np.int64)

@@ -27,6 +27,7 @@ from tubeplan_viz.rigid import (
     Weights,
     make_problem,
     path_goals,
+    plan_rigid,
     refined,
     reliefs,
     search,
@@ -224,3 +225,22 @@ def test_a_case_and_its_table_are_the_same() -> None:
     again = make_rigid_case(rigid_case_table(case, folder=Path.cwd()))
     assert rigid_case_table(again) == rigid_case_table(case)
     assert again.search == case.search
+
+
+def test_where_nothing_can_stand_at_the_lesion_with_all_shrinkage_less_is_not_searched_and_has_no_path(
+    phantom: NasalPhantom,
+) -> None:
+    thick = CoupledInstrument(scope_diameter=6.0, shaver_diameter=5.0, offset=6.5)
+    settings = SearchSettings(rolls=1, nodes=1)
+    problems = {
+        amount: make_problem(shrink(phantom.scene, amount, "left").scene, "left", phantom.lesions["left"], instrument=thick)
+        for amount in (0.0, 1.0)
+    }
+    found = plan_rigid(problems, settings, Weights(), amount=1.0).searches
+    assert list(found) == [0.0, 1.0]
+    # Alone, with all bends allowed, less shrinkage has no path either, and the same blocks its straight pushes.
+    alone = search(problems[0.0].judge(), problems[0.0].starts, problems[0.0].goal, settings)
+    assert not alone.feasible.any()
+    assert not found[0.0].feasible.any()
+    assert np.array_equal(found[0.0].blocked_by, alone.blocked_by)
+    assert found[0.0].evaluations < 0.5 * alone.evaluations

@@ -108,3 +108,23 @@ def test_the_first_free_angle_is_the_least_that_no_interval_covers(seed: int) ->
         assert found is not None
         assert found[0] == pytest.approx(expected, abs=2e-6)
         assert angle[found[1]] + spread[found[1]] == pytest.approx(expected, abs=1e-12)
+
+
+def test_obstacles_without_a_structure_are_those_built_without_it_and_what_is_the_same_is_taken_over() -> None:
+    volume = Volume(np.zeros(SHAPE, np.int16), np.eye(4)[[2, 1, 0, 3]])
+    some = blocks(6)
+    masks = dict(zip(some.names, some.masks, strict=True))
+    cut, built = some.without(["wall"]), build_obstacles(volume, {"block": masks["block"]})
+    assert cut.names == built.names == ("block",)
+    for name in ("cells", "half", "label"):
+        assert np.array_equal(getattr(cut, name), getattr(built, name))
+    assert np.array_equal(cut.field.values, built.field.values)
+    assert cut.cover == built.cover
+    thinner = masks["wall"].copy()
+    thinner[:, :, 24:] = False
+    like = build_obstacles(volume, {"wall": thinner, "block": masks["block"]}, like=some)
+    fresh = build_obstacles(volume, {"wall": thinner, "block": masks["block"]})
+    assert like.trees[1] is some.trees[1]
+    assert like.trees[0] is not some.trees[0]
+    assert np.array_equal(like.cells, fresh.cells)
+    assert np.array_equal(like.field.values, fresh.field.values)
