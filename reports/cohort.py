@@ -78,7 +78,7 @@ class CohortPage:
     case_id: str
     status: str
     heading: str
-    lead: str
+    lead: Phrase
     warnings: tuple[str, ...]
     tally: tuple[tuple[str, str, str, Figure], ...]
     charts: tuple[Drawing, ...]
@@ -109,7 +109,7 @@ def make_cohort_page(document: Mapping[str, Any]) -> CohortPage:
         case_id=name,
         status=PAGE_STATUS.get(document["exit_status"], "infeasible"),
         heading=f"{'All' if held == total and total > 1 else f'{held} of'} {total} {plural} hold{'s' if total == 1 else ''}",
-        lead=sentence("; ".join(said)) if said else "Every path keeps its limits.",
+        lead=phrase(sentence("; ".join(said)) if said else "Every path keeps its limits.", *_worst(source)),
         warnings=_warnings(document),
         tally=tuple((STATUS[s][0], s, STATUS[s][1], source.need(f"counts.{s}", 0)) for s in present),
         charts=cohort_charts(cases),
@@ -122,6 +122,21 @@ def make_cohort_page(document: Mapping[str, Any]) -> CohortPage:
         folds=(_provenance(document),),
         document=document,
     )
+
+
+def _worst(source: Source) -> tuple[str | Figure, ...]:
+    """The least margin of all cases, and whose it is."""
+    margins = [(case["margin_mm"], k) for k, case in enumerate(source.result["cases"]) if case["margin_mm"] is not None]
+    if not margins:
+        return ()
+    k = min(margins)[1]
+    return (" Worst margin of all: ", _margin(source, k), f" in {source.result['cases'][k]['id']}.")
+
+
+def _margin(source: Source, k: int) -> Figure:
+    """The margin of one case with as many decimals as tell it from none."""
+    key = f"cases.{k}.margin_mm"
+    return source.need(key, digits_apart(source.need(key, 2).value, 0.0, 2), "mm", signed=True)
 
 
 def _legend(present: Sequence[str]) -> tuple[tuple[str, str], ...]:
@@ -151,7 +166,7 @@ def _verified(document: Mapping[str, Any]) -> bool:
 def _row(source: Source, k: int) -> CaseRow:
     case, key = source.result["cases"][k], f"cases.{k}"
     icon, word, _ = STATUS[case["status"]]
-    margin = source.figure(f"{key}.margin_mm", 2, "mm", signed=True)
+    margin = None if case["margin_mm"] is None else _margin(source, k)
     memory = source.figure(f"{key}.peak_memory_mb", 0, "MB")
     cells = [
         Cell(
@@ -169,7 +184,7 @@ def _row(source: Source, k: int) -> CaseRow:
     if _verified(source.result):
         checked = case["verification"]
         failed = [] if checked is None else [str(check["name"]) for check in checked["failed"]]
-        text = "–" if checked is None else "all checks hold" if checked["holds"] else f"fails: {', '.join(failed)}"
+        text = "–" if checked is None else "holds" if checked["holds"] else f"fails: {', '.join(failed)}"
         cells.append(Cell(phrase(text), "wide" + (" bad-curvature" if failed else "")))
     return CaseRow(
         id=str(case["id"]),

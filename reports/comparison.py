@@ -29,7 +29,7 @@ from tubeplan_viz.result import STRAIGHT_MM, ComparedRun, Comparison
 
 VERBS = {"ok": ("holds", "hold"), "flagged": ("is flagged", "are flagged"), "infeasible": ("finds no path", "find no path")}
 KINDS = {"clearance": ("clearance_mm", "clearance_min_mm"), "curvature": ("curvature_per_mm", "curvature_max_per_mm")}
-TOLD_FIRST = {"margin_mm": "Widest margin", "bend_radius_mm": "Gentlest bend", "metrics.length_mm": "Shortest path"}
+TOLD_FIRST = {"margin_mm": "Best margin", "bend_radius_mm": "Gentlest bend", "metrics.length_mm": "Shortest path"}
 
 
 @dataclass(frozen=True)

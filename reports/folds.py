@@ -185,6 +185,8 @@ def _settings(source: Source) -> Fold | None:
 def _flatten(value: Any, name: str) -> list[tuple[str, str]]:
     if isinstance(value, Mapping):
         return [pair for key, inner in value.items() for pair in _flatten(inner, f"{name}.{key}" if name else str(key))]
+    if isinstance(value, (list, tuple)) and any(isinstance(item, Mapping) for item in value):
+        return [pair for k, item in enumerate(value) for pair in _flatten(item, f"{name} {k + 1}")]
     if isinstance(value, (list, tuple)):
         return [(name, ", ".join(_plain(item) for item in value))]
     return [(name, _plain(value))]

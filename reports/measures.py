@@ -41,12 +41,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Group:
-    """One table: columns with name and unit, a row for each part; `notes` say why a dash stands where."""
+    """One table: columns with name and unit, a row for each part or what `of` says; `notes` say why a dash stands where."""
 
     title: str
     head: tuple[str, ...]
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
+    of: str = "Part"
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def listed(source: Source, mine: Sequence[tuple[int, Mapping[str, Any]]], group:
         Row(f"{item['of']}: {item['name']}" if item["of"] else item["name"], (value_of(source, k, item, unit=True),))
         for k, item in mine
     )
-    return Group(TITLES[group], ("Value",), rows, reasons(mine))
+    return Group(TITLES[group], ("Value",), rows, reasons(mine), of="Measure")
 
 
 def value_of(source: Source, k: int, item: Mapping[str, Any], *, unit: bool = False) -> Phrase:
@@ -204,7 +205,7 @@ def apart(words: Sequence[tuple[float, float, str, str]]) -> list[Markup]:
         near = [other for other in placed if abs(other[0] - x) < LABEL_WIDE]
         lowest = max((other[1] for other in near), default=-LABEL_TALL)
         placed.append((x, max(y, lowest + LABEL_TALL), anchor, label))
-    return [tag("text", label, class_="axis", x=x, y=y, text_anchor=anchor) for x, y, anchor, label in placed]
+    return [tag("text", label, class_="axis halo", x=x, y=y, text_anchor=anchor) for x, y, anchor, label in placed]
 
 
 def path_data(points: FloatArray) -> str:

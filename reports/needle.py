@@ -84,7 +84,7 @@ def make_needle_page(case_id: str, result: Mapping[str, Any], around: Surroundin
         line="Planned onto the target" if status == "ok" else "Nothing to insert as it stands",
         headline=phrase(_headline(source, status)),
         lead=_lead(source, status),
-        warnings=tuple(str(text) for text in details.get("warnings") or ()),
+        warnings=tuple(sentence(str(text)) for text in details.get("warnings") or ()),
         keys=_keys(source),
         cuts_line="" if window is None else CUTS_LINE.format(window.label.lower()),
         cuts=cuts,

@@ -13,7 +13,7 @@ from skimage.measure import find_contours
 from reports.parts import Drawing
 from reports.places import PLANES
 from reports.slices import Window, cut, png, windows_for
-from reports.still import Label, View, choose_view, still_picture
+from reports.still import Label, Solid, View, choose_view, still_picture
 from reports.svg import tag
 from reports.turnable import turnable
 from reports.wall import LightMesh, light_mesh
@@ -27,6 +27,7 @@ PIXELS = 220
 CONTOUR_STEPS = 110
 NEAR_MM = 3.0  # of the path counts as in the plane
 BESIDE_MM = 22.0  # of what stands beside the path is shown in space
+BODY = "#c47400"  # of obstacles in the picture that stands still: the style sheet's --clearance
 SCALE_MM = 10.0
 LETTER_MM = 3.8
 SIDES = ((-0.95, 0.03, "start"), (0.95, 0.03, "end"), (0.0, -0.88, "middle"), (0.0, 0.95, "middle"))
@@ -163,7 +164,9 @@ def space_of(result: Mapping[str, Any], around: Surroundings, ramp: tuple[float,
     lines = [] if pushed is None else [("needle-pushed", pushed)]
     view = choose_view(points, "LPS") if result["frame"] == "LPS" else downwards(points)
     words = "obstacles beside the path, planned path from entry to target"
-    still = still_picture(mesh, points, (), labels, view, f"In space: {words}.", lines=lines)
+    # Its colour is the obstacles': the mesh itself only says how large the picture is drawn.
+    frame, bodies = LightMesh(mesh.vertices, mesh.faces[:0], mesh.planned), [Solid(shown, BODY, dense=False)]
+    still = still_picture(frame, points, (), labels, view, f"In space: {words}.", lines=lines, solids=bodies)
     return Space(still, turnable(mesh, view, labels, start=tight, ramp=ramp, before=pushed, body="--clearance", words=words))
 
 

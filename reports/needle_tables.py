@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from reports.needle_charts import error_chart, front_chart
-from reports.numbers import Phrase, Source, phrase
+from reports.numbers import Phrase, Source, phrase, typeset
 from reports.parts import Table
 from reports.tables import DASH, or_dash
 
@@ -41,7 +41,7 @@ def forms_table(source: Source) -> Table | None:
         measures = cells(
             source, key, ("score", 3), ("score_bound", 3), ("length_mm", 3), ("insertion_angle_deg", 3), ("clearance_min_mm", 3)
         )
-        rows.append((phrase(name), *measures, pieces if form["feasible"] else phrase(str(form["reason"]))))
+        rows.append((phrase(name), *measures, pieces if form["feasible"] else phrase(typeset(str(form["reason"])))))
     head = (
         "Form",
         "F",

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.folds import Fold, folds
-from reports.numbers import Phrase, Source, phrase, typeset
+from reports.numbers import Phrase, Source, phrase, sentence, typeset
 from reports.parts import Key, PlanPage, with_article
 from reports.still import Label, choose_view, still_picture
 from reports.tables import or_dash
@@ -87,7 +87,7 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> ReachPage:
         line=f"Bronchoscope robot, {document['method']} plans to every branch",
         headline=phrase(_headline(counts["reached"], len(branches))),
         lead=phrase(_lead(document)),
-        warnings=tuple(typeset(str(text)) for text in document["warnings"]),
+        warnings=tuple(sentence(str(text)) for text in document["warnings"]),
         keys=_keys(source),
         legend=tuple(
             (kind, words)

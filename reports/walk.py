@@ -79,7 +79,7 @@ def stages_walk(source: Source, stills: Sequence[Still]) -> Walk | None:
     cards = tuple(
         Card(
             name.capitalize(),
-            phrase(f"{printed(still.arc_length, 1)} mm"),
+            phrase(f"{printed(still.arc_length, 1)}\u00a0mm"),
             phrase("where the robot begins" if k == 0 else f"end of stage {k}"),
             data_uri(still.jpeg),
             f"View from the robot's tip, {name}",

@@ -12,6 +12,7 @@ from tubeplan_viz.result import STRAIGHT_MM, kept_until
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 # Words of --objective other than the default.
 AIMS = {"length": " for the shortest path", "curvature": " for the straightest path"}
+EVEN = 1e-3  # of the curvature: less difference is none
 ROWS_SHOWN = 6  # flagged stretches listed at once; the rest is one fold away
 
 STATUS = {
@@ -96,7 +97,7 @@ def verdict(source: Source, parts: Sequence[Mapping[str, Any]]) -> Verdict:
         line=_line(source, status, len(flags)),
         title=_title(source, status, flags, parts),
         lead=_lead(source, status, parts),
-        warnings=tuple(str(text) for text in details.get("warnings") or ()),
+        warnings=tuple(sentence(str(text)) for text in details.get("warnings") or ()),
         keys=tuple(
             key for key in (_instrument(source), margin_key(source, parts), bend_key(source, parts), _takes(source)) if key
         ),
@@ -301,9 +302,15 @@ def bend_key(source: Source, parts: Sequence[Mapping[str, Any]] = ()) -> KeyFigu
         over = source.need("derived:curvature_excess_percent", digits_apart(over.value, 0.0, 0))
         more = [phrase(reached, ", ", over, "\u00a0% over ", allowed)]
     if at is not None:
-        more.append(phrase("at ", at, f", {place}" if place else ""))
+        more.append(phrase("at ", at, f", {place}" if place else "", " and as sharp all along" if _even(source) else ""))
     value = phrase("radius ", radius) if radius is not None and radius.value < STRAIGHT_MM else phrase("straight")
     return KeyFigure("Sharpest bend", value, tuple(more), "curvature" if over is not None and over.value > 0 else "")
+
+
+def _even(source: Source) -> bool:
+    """Whether the path bends alike from end to end, as that of a needle does that is never spun."""
+    bends = (source.result.get("path") or {}).get("curvature_per_mm") or (0.0,)
+    return min(bends) > 0.0 and max(bends) - min(bends) <= EVEN * max(bends)
 
 
 def _takes(source: Source) -> KeyFigure | None:

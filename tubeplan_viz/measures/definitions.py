@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tubeplan_viz.measures.balls import PLATEAU
+from tubeplan_viz.measures.pelvis import NECK
 
 ELBAHNASY = "Elbahnasy AM et al., J Urol 1998; 159(3): 676-682"
 BULLITT = "Bullitt E et al., IEEE Trans Med Imaging 2003; 22(9): 1163-1171 (distance metric)"
 WEIBEL = "Weibel ER, Morphometry of the Human Lung, Springer 1963 (generations counted from the trachea)"
 TAWHAI = "Tawhai MH et al., J Appl Physiol 2004; 97(6): 2310-2321 (branching angle)"
-OWN = "definition of this program"
+OWN = "Definition of this program"
 EDGE = (
     "In a CT the outline is where the grey is half way between what fills the lumen and its wall (50 HU, brighter tissue beyond "
     "it, or what is left of the thin wall of an airway), less what blur does to a round lumen; in a mesh it is the mesh."
@@ -89,7 +90,7 @@ _ALL = (
         digits=1,
         text="Angle between the ureteropelvic axis (from the centre of the pelvis to the ureter's centre at the level of the "
         "lower pole) and the axis of the infundibulum (best line through its middle, towards the calyx). The kidney's outline is "
-        "not in the lumen: the level is where the ureter is ureter_level_mm from the centre of the pelvis.",
+        "not in the lumen: the level is where the ureter is ureter_level_mm (a setting) from the centre of the pelvis.",
         source=ELBAHNASY,
     ),
     Definition(
@@ -108,8 +109,8 @@ _ALL = (
         unit="mm",
         digits=1,
         text="Straight distance from the lip of the pelvis to the bottom of the calyx. The lip is where the middle line leaves "
-        f"for good what balls of {100 * PLATEAU:.0f} % of the largest ball reach in the pelvis; the bottom is where the axis of "
-        f"the calyx, through the centre of its own widest part, meets the wall (a papilla's tip). {EDGE}",
+        f"for good what balls of {100 * PLATEAU:.0f} % of the largest ball reach in the pelvis or its arm; the bottom is where the "
+        f"axis of the calyx, through the centre of its own widest part, meets the wall (a papilla's tip). {EDGE}",
         source=ELBAHNASY,
     ),
     Definition(
@@ -154,7 +155,9 @@ _ALL = (
         name="Pelvis, largest ball",
         unit="mm",
         digits=2,
-        text="Diameter of the largest ball that fits into the collecting system, to the edge in the CT.",
+        text="Diameter of the largest ball that fits into the renal pelvis, to the edge in the CT. The pelvis is where the "
+        "collecting system is widest up to the first neck past its division on the way to a calyx, of under "
+        f"{100 * NECK:.0f} % of that width; one that divides before it widens has such a place in each arm.",
         source="Hildebrand T and Rüegsegger P, J Microsc 1997; 185(1): 67-75 (local thickness)",
     ),
     Definition(
