@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ from tubeplan_viz.cases.tube import Case, case_table, make_case
 from tubeplan_viz.centerline import Endpoint
 from tubeplan_viz.instruments import Instrument, read_catalogue
 from tubeplan_viz.pipeline import Lumen, Notify, Stopwatch, case_end_names, find_end, grow_tree, load_lumen, silent
+from tubeplan_viz.result import write_whole
 
 LISTED = 30  # end points written down; an airway has hundreds
 CONFIDENT = 0.5
@@ -276,21 +276,11 @@ def write_case(text: str, path: Path, *, force: bool = False) -> None:
         raise CaseError(f"{path.name} is a folder; name the case file to be written, for instance case.toml")
     if path.exists() and not force:
         raise CaseError(f"{path.name} exists already; choose another name with -o, or replace it with --force")
-    partial = path.with_name(f".{path.name}.partial-{os.getpid()}")
     try:
-        with partial.open("x", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        if force:
-            os.replace(partial, path)
-        else:
-            os.link(partial, path)  # unlike a rename it never replaces a file that has come meanwhile
+        write_whole(path, text.encode("utf-8"), replace=force)
     except FileExistsError:
         raise CaseError(f"{path.name} exists already; choose another name with -o, or replace it with --force") from None
     except OSError as fault:
         raise CaseError(
             f"{path.name}: cannot be written ({(fault.strerror or 'refused').lower()}); choose another place with -o"
         ) from None
-    finally:
-        partial.unlink(missing_ok=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +79,7 @@ def write_series(
     Raises
     ------
     SeriesError
-        If the folder holds something, the voxels do not fit, or the axes are not orthogonal.
+        If the folder holds something or cannot be written to, the voxels do not fit, or the axes are not orthogonal.
 
     References
     ----------
@@ -102,7 +103,16 @@ def write_series(
     paths = []
     for number in range(volume.voxels.shape[0]):
         path = folder / f"slice_{number + 1:04d}.dcm"
-        _slice(volume, common, number, seed).save_as(path, enforce_file_format=True)
+        # Into memory first: what pydicom says of a disk that is full is none of the system's errors any more.
+        content = BytesIO()
+        _slice(volume, common, number, seed).save_as(content, enforce_file_format=True)
+        try:
+            path.write_bytes(content.getvalue())
+        except OSError as fault:
+            reason = (fault.strerror or "the system refuses").lower()
+            raise SeriesError(
+                f"{folder.name}: {path.name} cannot be written ({reason}); make room or choose another place"
+            ) from None
         paths.append(path)
         if progress is not None:
             progress(number + 1, volume.voxels.shape[0])

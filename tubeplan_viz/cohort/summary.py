@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import platform as running
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,7 +17,7 @@ from tubeplan_viz.cohort.errors import CohortError
 from tubeplan_viz.cohort.manifest import CohortCase, Manifest
 from tubeplan_viz.cohort.tasks import CaseStatus
 from tubeplan_viz.cohort.words import kind_of_reason
-from tubeplan_viz.result import RESULT, check_schema, plain, shipped_schema
+from tubeplan_viz.result import RESULT, check_schema, plain, shipped_schema, write_whole
 from tubeplan_viz.result.document import METRICS
 
 SUMMARY_FILES = ("cohort.json", "cohort.csv", "index.html")
@@ -215,12 +213,7 @@ def write_summary(document: Mapping[str, Any], folder: Path) -> None:
     text = json.dumps(document, allow_nan=False, indent=1) + "\n"
     for name, content in zip(SUMMARY_FILES, (text, cohort_csv(document), page), strict=True):
         try:
-            handle, partial = tempfile.mkstemp(prefix=f".{name}.partial-", dir=folder)
-            with os.fdopen(handle, "wb") as file:
-                file.write(content.encode("utf-8"))
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, folder / name)
+            write_whole(folder / name, content.encode("utf-8"))
         except OSError as fault:
             reason = (fault.strerror or "unknown reason").lower()
             raise CohortError(f"{name} cannot be written ({reason}); make room and run the same command again") from None

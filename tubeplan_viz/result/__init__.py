@@ -8,6 +8,7 @@ from tubeplan_viz.result.folder import RESULT, RunFolder, file_sha256, is_run, n
 from tubeplan_viz.result.places import kept_until, place_words, worst_at
 from tubeplan_viz.result.review import Review
 from tubeplan_viz.result.schema import check_schema, result_schema, shipped_schema, validate_result
+from tubeplan_viz.result.whole import write_whole
 
 __all__ = [
     "COMPARISON_FILES",
@@ -41,4 +42,5 @@ __all__ = [
     "slicer_markups",
     "validate_result",
     "worst_at",
+    "write_whole",
 ]
