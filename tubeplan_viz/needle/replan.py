@@ -15,6 +15,7 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.needle.kinematics import Controls, Pose, push
 from tubeplan_viz.needle.polish import polish_clear
+from tubeplan_viz.needle.reach import unreachable
 from tubeplan_viz.needle.spatial import SpatialProblem
 from tubeplan_viz.needle.swarm import SwarmSettings, cost_of, plan_spatial
 from tubeplan_viz.needle.zigzag import best_starts
@@ -56,7 +57,7 @@ def renewed(problem: SpatialProblem, here: Pose, rest: Controls, ratio: float, *
     """
     settings = replace(problem.settings, kappa=problem.settings.kappa * ratio)
     left = replace(problem, pose=here, settings=settings, under_way=True)
-    if left.distance < LAST_MM:
+    if left.distance < LAST_MM or unreachable(left) is not None:
         return None
     # The present controls mended are the least change; where the scene has changed, other ways may be shorter now.
     x = mended(left, [padded(left, bent(rest, ratio)), *(best_starts(left, 1) if changed else [])])

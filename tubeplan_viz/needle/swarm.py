@@ -18,6 +18,7 @@ from segmentation.errors import CaseError
 from tubeplan_viz.needle.front import pareto_front
 from tubeplan_viz.needle.path import NeedlePath, SwarmRound, measured
 from tubeplan_viz.needle.polish import polish_clear
+from tubeplan_viz.needle.reach import unreachable
 from tubeplan_viz.needle.spatial import SpatialProblem, Worth, worth
 from tubeplan_viz.needle.zigzag import best_starts
 
@@ -171,6 +172,9 @@ def plan_spatial(
     """
     settings = settings or SwarmSettings()
     rng = rng or np.random.default_rng(0)
+    reason = unreachable(problem)
+    if reason is not None:
+        return NeedlePath(reason=reason)
     begun = time.perf_counter()
     rounds: list[SwarmRound] = []
     best: FloatArray | None = None
