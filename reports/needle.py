@@ -93,7 +93,7 @@ def make_needle_page(case_id: str, result: Mapping[str, Any], around: Surroundin
         ramp=None if ramp is None else (printed(ramp[0], 1), printed(ramp[1], 1)),
         narrowest=None if course is None or course.clearance is None else float(course.arc[course.clearance.argmin()]),
         views_line=_views_line(result),
-        views=tuple(Drawing(title, flat_view(result, axes, layers)) for title, axes in views),
+        views=tuple(Drawing(title, flat_view(result, axes, layers, _shown(result, title))) for title, axes in views),
         charts=charts,
         units={"clearance": "mm from the path to the nearest obstacle", "curvature": "1/mm"},
         clouds=cloud_drawings(result),
@@ -103,6 +103,14 @@ def make_needle_page(case_id: str, result: Mapping[str, Any], around: Surroundin
         tables=tuple(tables),
         folds=folds(source, ()),
     )
+
+
+def _shown(result: Mapping[str, Any], title: str) -> str:
+    """What a flat drawing shows, in words."""
+    count = len(result["details"].get("obstacles", ()))
+    past = f"{count} obstacle{'' if count == 1 else 's'}" if count else "no obstacle"
+    path = "path from entry to target" if result["path"] is not None else "entry and target without a path"
+    return f"{title}: {path} and {past}"
 
 
 def _views_line(result: Mapping[str, Any]) -> str:

@@ -56,6 +56,7 @@ def cloud_drawings(result: Mapping[str, Any]) -> tuple[Drawing, ...]:
                 result,
                 axes,
                 [Layer("needle-swarm", [np.array(strip, float) for strip in cloud["paths_mm"]]), *final],
+                f"{len(cloud['paths_mm'])} paths of the swarm in round {cloud['round']}, and the final path past the obstacles",
                 size=CLOUD_SIZE,
                 extent=extent,
             ),
@@ -68,6 +69,7 @@ def flat_view(
     result: Mapping[str, Any],
     axes: tuple[int, int],
     layers: Sequence[Layer],
+    words: str,
     *,
     size: int = VIEW_SIZE,
     extent: FloatArray | None = None,
@@ -80,6 +82,8 @@ def flat_view(
     axes : (int, int)
         To the right and down.
     layers : sequence of Layer
+    words : str
+        What the drawing shows, for those who cannot see it.
     size : int, px
         Of the longest side of all that is seen.
     extent : (k, 3) float array, mm, optional
@@ -135,9 +139,9 @@ def flat_view(
             '<path class="needle-path" d="M8 {0:.1f}h{1:.1f}"/><text class="needle-words" x="8" y="{2:.1f}">10 mm</text>'
         ).format(box[1] - 8, 10.0 * scale, box[1] - 13)
     )
-    return Markup(
-        '<svg width="{0:.0f}" viewBox="0 0 {0:.0f} {1:.0f}" role="img" aria-label="Path and obstacles">{2}</svg>'
-    ).format(box[0], box[1], Markup("").join(drawn))
+    return Markup('<svg width="{0:.0f}" viewBox="0 0 {0:.0f} {1:.0f}" role="img" aria-label="{2}">{3}</svg>').format(
+        box[0], box[1], words, Markup("").join(drawn)
+    )
 
 
 def _body(body: Mapping[str, Any], spots: FloatArray, radius: float, safety: float) -> list[Markup]:

@@ -104,7 +104,10 @@ def step_words(source: Source, k: int, step: dict[str, Any]) -> Phrase:
     parts += [f" ({step['toward']})" if step.get("toward") else "", ", turn ", source.figure(f"{key}.turn_deg", 0), "°"]
     roll = source.figure(f"{key}.roll_deg", 0, signed=True)
     parts += ["; roll ", roll, "°"] if k and roll is not None else []
-    others = [source.figure(f"{key}.other_openings_clock_h.{j}", 0) for j in range(len(step["other_openings_clock_h"]))]
+    hours = step["other_openings_clock_h"]
+    others = [source.figure(f"{key}.other_openings_clock_h.{j}", 0) for j, hour in enumerate(hours) if hour != step["clock_h"]]
+    if len(others) < len(hours):
+        parts.append(". Another opening lies the same way")
     if others:
         parts.append(". Other opening at " if len(others) == 1 else ". Other openings at ")
         for j, other in enumerate(others):

@@ -219,7 +219,7 @@ def straight(course: Course, source: Source, volume: Volume | None, window: Wind
             )
             for f in flags
         ]
-        return frame(width, (width.plot, 11), "Flagged stretches", bars)
+        return frame(width, (width.plot, 11), f"Flagged stretches: {len(flags) or 'none'}", bars)
 
     def below(width: Width) -> Markup:
         return frame(

@@ -138,3 +138,34 @@ def head_ct_file(head_ct: Any, tmp_path_factory: pytest.TempPathFactory) -> Path
     path: Path = tmp_path_factory.mktemp("head") / "head.nii"
     sitk.WriteImage(image, str(path))
     return path
+
+
+# What is drawn beyond the sheet or cut off by its box, and headings of tables that leave no words.
+LOST = """() => {
+  const found = [];
+  const told = (one) => [...one.childNodes].some((part) => part.className !== 'unseen' && part.textContent.trim());
+  for (const fold of document.querySelectorAll('details')) fold.open = true;  // as the page itself does before it prints
+  for (const one of document.body.querySelectorAll('*')) {
+    if (one.closest('svg, .unseen')) continue;
+    const box = one.getBoundingClientRect(), name = `${one.tagName.toLowerCase()}.${one.className}`;
+    if (!box.width || !box.height) continue;
+    if (box.right > innerWidth + 1 || box.left < -1) found.push(`${name} reaches beyond the sheet`);
+    else if (one.scrollWidth > one.clientWidth + 1 && getComputedStyle(one).overflowX !== 'visible') found.push(`${name} cuts`);
+  }
+  for (const one of document.querySelectorAll('thead th'))
+    if (told(one) && !one.innerText.trim()) found.push(`the heading ${one.textContent} is lost`);
+  return found.slice(0, 5);
+}"""
+
+
+@pytest.fixture(scope="session")
+def lost_in_print() -> Callable[[Any], list[str]]:
+    """What a sheet of A4 would lack of an open page, where it is left; the width is that between the margins."""
+
+    def found(page: Any) -> list[str]:
+        page.set_viewport_size({"width": 711, "height": 1000})
+        page.emulate_media(media="print", color_scheme="light")
+        page.wait_for_timeout(100)
+        return list(page.evaluate(LOST))
+
+    return found

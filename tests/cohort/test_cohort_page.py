@@ -125,7 +125,7 @@ def rows_shown(page: Any) -> list[str]:
     return [str(text).strip() for text in page.locator("#case-table tbody tr:not([hidden]) th").all_inner_texts()]
 
 
-def test_the_page_can_be_read_sorted_and_filtered(page_file: Path, browser: Any) -> None:
+def test_the_page_can_be_read_sorted_and_filtered(page_file: Path, browser: Any, lost_in_print: Any) -> None:
     context = browser.new_context(viewport={"width": 1440, "height": 900}, color_scheme="light", reduced_motion="reduce")
     page = context.new_page()
     told: list[str] = []
@@ -163,6 +163,7 @@ def test_the_page_can_be_read_sorted_and_filtered(page_file: Path, browser: Any)
     page.wait_for_timeout(100)
     assert page.evaluate("document.documentElement.scrollWidth") == 390
     assert serious(page, {"runOnly": ["target-size", "scrollable-region-focusable", "color-contrast", "list"]}) == []
+    assert lost_in_print(page) == []
     assert told == []
     context.close()
 

@@ -143,7 +143,7 @@ def all_known(run: Path, numbers_shown: Any) -> set[float]:
 
 
 def test_a_page_asks_for_nothing_complains_of_nothing_and_can_be_read(
-    run: Path, browser: Any, hard_to_read: Callable[[Any], list[str]]
+    run: Path, browser: Any, hard_to_read: Callable[[Any], list[str]], lost_in_print: Callable[[Any], list[str]]
 ) -> None:
     context = browser.new_context(viewport={"width": 1440, "height": 900}, color_scheme="light", reduced_motion="reduce")
     page = context.new_page()
@@ -164,6 +164,7 @@ def test_a_page_asks_for_nothing_complains_of_nothing_and_can_be_read(
     assert page.evaluate("document.documentElement.scrollWidth") == 390
     page.locator("input[name=theme][value=light]").check(force=True)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(246, 247, 249)"
+    assert lost_in_print(page) == []
     assert told == []
     assert [url for url in asked if not url.startswith("data:")] == [(run / "report.html").as_uri()]
     context.close()
