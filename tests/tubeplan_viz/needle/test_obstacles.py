@@ -197,6 +197,16 @@ def test_the_least_distance_bounds_a_path_between_the_samples() -> None:
         assert (bound >= dense - 0.012).all()
 
 
+@pytest.mark.parametrize("place", [17.3, 31.7])
+def test_the_bound_of_a_line_past_a_rod_is_never_more_than_the_distance_and_less_by_the_tolerance_at_most(place: float) -> None:
+    # The rod crosses the way 5 mm beside it, where no halving of 40 mm falls: the nearest sample is a little too far.
+    rod = Capsule(np.array([[-20.0, 5.0, place], [20.0, 5.0, place]]), 1.0)
+    way = push(ORIGIN, Controls(np.zeros(1), np.array([40.0]), np.zeros(1)))
+    for tolerance in (1e-3, 0.1):
+        told = float(Scene((rod,)).least_distance(way, tolerance=tolerance)[0])
+        assert 4.0 - tolerance - 1e-12 <= told < 4.0
+
+
 def test_distances_of_a_population_are_those_of_its_paths() -> None:
     rng = np.random.default_rng(7)
     scene = Scene((Sphere(np.array([0.0, 5.0, 40.0]), 4.0), Sphere(np.array([9.0, -5.0, 60.0]), 6.0)))
