@@ -35,7 +35,7 @@ class Outline:
         return float(0.5 * (self.start[:, 0] * self.end[:, 1] - self.start[:, 1] * self.end[:, 0]).sum())
 
     def radii(self, angles: FloatArray) -> FloatArray:
-        """Distance from the point to the outermost segment, (n,) mm, at angles in rad from the plane's first axis."""
+        """Distance from the point to the first segment, (n,) mm, at angles in rad from the plane's first axis."""
         heading = np.column_stack([np.cos(angles), np.sin(angles)])  # (n, 2)
         along = self.end - self.start
         # Ray r h meets the segment a + t (b - a): r = cross(a, b - a) / cross(h, b - a), t = cross(a, h) / cross(h, b - a).
@@ -44,7 +44,7 @@ class Outline:
             reach = (self.start[:, 0] * along[:, 1] - self.start[:, 1] * along[:, 0]) / below
             share = (self.start[:, 0] * heading[:, 1:] - self.start[:, 1] * heading[:, :1]) / below
         met = (share >= -1e-9) & (share <= 1.0 + 1e-9) & (reach > 0.0)
-        return np.asarray(np.where(met, reach, 0.0).max(axis=1))
+        return np.asarray(np.where(met, reach, np.inf).min(axis=1))
 
 
 class SurfaceSections:

@@ -1,8 +1,8 @@
 """A collecting system taken apart: ureter, renal pelvis, infundibula, calyces."""
 
-# Strategy: the pelvis is what balls nearly as large as the largest in the lumen reach. The way from the ureter to each
-# calyx leaves it for good at the lip of the pelvis; ways that leave it on the same branch share an infundibulum, which
-# goes on to where they part.
+# Strategy: the pelvis is what balls nearly as large as the largest before the necks of the calyces reach. The way from the
+# ureter to each calyx leaves it for good at the lip of the pelvis; ways that leave it on the same branch share an
+# infundibulum, which goes on to where they part.
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
-from tubeplan_viz.measures.balls import WidePart, wide_part
+from tubeplan_viz.measures.balls import PLATEAU, WidePart
 from tubeplan_viz.measures.ends import Rim
 from tubeplan_viz.measures.lines import Lumen
 from tubeplan_viz.measures.outward import OutwardWall
 from tubeplan_viz.measures.parts import Part, stretch
+from tubeplan_viz.measures.pelvis import division, pelvis_parts
 
 JUNCTION_SEARCH_MM = 15.0
 
@@ -51,6 +52,7 @@ class CollectingSystem:
     ways : dict of int to Centerline
         From the ureter's end to each target that is reached.
     pelvis : WidePart
+        All arms of one that divides before it widens.
     rim : Rim
         Where its edge is.
     radius : float, mm
@@ -89,9 +91,9 @@ def collecting_system(lumen: Lumen, wall: OutwardWall | None = None) -> Collecti
     """Take apart a lumen whose tree begins at the ureter's end."""
     lines = [lumen.tree.path(target) for target in range(len(lumen.labels))]
     ways = {target: line for target, line in enumerate(lines) if line is not None}
-    widest = max(ways, key=lambda target: float(ways[target].radii.max()))
-    at = int(ways[widest].radii.argmax())
-    pelvis = wide_part(lumen.wall, ways[widest].points[at], float(ways[widest].radii[at]))
+    divided = division(lumen.tree)
+    widest, at, arms = pelvis_parts(lumen.wall, ways, divided)
+    pelvis = WidePart(centers=np.vstack([arm.centers for arm in arms]), radii=np.concatenate([arm.radii for arm in arms]))
     rim = Rim(pelvis, wall or OutwardWall(lumen.wall.surface), lumen)
     margin, blur = rim.margin()
     radius = pelvis.largest + margin
@@ -103,7 +105,7 @@ def collecting_system(lumen: Lumen, wall: OutwardWall | None = None) -> Collecti
         radius=radius,
         blur=blur,
         trunk=trunk,
-        junction=None if trunk is None else ureter_end(trunk, radius),
+        junction=None if trunk is None else ureter_end(trunk, radius, divided),
         infundibula=find_infundibula(lumen, ways, pelvis, rim),
     )
 
@@ -168,7 +170,10 @@ def find_infundibula(lumen: Lumen, ways: dict[int, Centerline], pelvis: WidePart
         inside = np.flatnonzero(level <= 0.0)
         k = min(int(inside[-1]) if len(inside) else k, len(level) - 2)
         share = float(np.clip(level[k] / (level[k] - level[k + 1]), 0.0, 1.0))
-        lips[target] = float(line.arc_length[k] + share * (line.arc_length[k + 1] - line.arc_length[k]))
+        lip = float(line.arc_length[k] + share * (line.arc_length[k + 1] - line.arc_length[k]))
+        if line.arc_length[-1] - lip < 2.0 * line.radii[k]:
+            continue  # as long as the lumen is wide there: a bulge of the pelvis
+        lips[target] = lip
         groups.setdefault(branch_at(lumen.tree, target, lips[target]), []).append(target)
     found = []
     for number, targets in groups.items():
@@ -223,11 +228,16 @@ def branch_end(tree: CenterlineTree, number: int) -> float:
     return length
 
 
-def ureter_end(trunk: Centerline, radius: float) -> float | None:
-    """Arc length of the ureteropelvic junction: the narrowest place just before the lumen widens into the pelvis, mm."""
+def ureter_end(trunk: Centerline, radius: float, divided: float | None) -> float | None:
+    """Arc length of the ureteropelvic junction, mm: the narrowest place just before the lumen widens into the pelvis.
+
+    Where it divides before it is nearly as wide as the pelvis the ureter ends at the division: no ureter has branches.
+    """
+    s = trunk.arc_length
+    if divided is not None and float(trunk.radii[s <= divided].max()) < PLATEAU * radius:
+        return divided
     narrow = np.flatnonzero(trunk.radii <= 0.5 * radius)
     if not len(narrow):
         return None
-    s = trunk.arc_length
     before = np.flatnonzero((s <= s[narrow[-1]]) & (s >= s[narrow[-1]] - JUNCTION_SEARCH_MM))
     return float(s[before[trunk.radii[before].argmin()]])

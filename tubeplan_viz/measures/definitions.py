@@ -109,8 +109,8 @@ _ALL = (
         unit="mm",
         digits=1,
         text="Straight distance from the lip of the pelvis to the bottom of the calyx. The lip is where the middle line leaves "
-        f"for good what balls of {100 * PLATEAU:.0f} % of the largest ball reach in the pelvis or its arm; the bottom is where the "
-        f"axis of the calyx, through the centre of its own widest part, meets the wall (a papilla's tip). {EDGE}",
+        f"for good what balls of {100 * PLATEAU:.0f} % of the largest ball reach in the pelvis or its arm; the bottom is where "
+        f"the axis of the calyx, through the centre of its own widest part, meets the wall (a papilla's tip). {EDGE}",
         source=ELBAHNASY,
     ),
     Definition(

@@ -35,28 +35,21 @@ class Filled:
         """Values on the grid at points, (n,), linear between voxels."""
         return np.asarray(ndimage.map_coordinates(values, ((points - self.origin) / STEP_MM).T, order=1, mode="nearest"))
 
-    def wide(self, near: FloatArray, share: float) -> tuple[FloatArray, FloatArray, float]:
-        """Where balls of `share` of the largest one fit around a place.
-
-        Returns
-        -------
-        center : (3,) float array, mm
-            Mean of their centres.
-        outside : float array of the grid, mm
-            Distance to what they reach; negative in it.
-        largest : float, mm
-            Radius of the largest ball.
-        """
-        largest = float(self.depth.max())
-        centers = self.depth >= share * largest
-        labels, count = ndimage.label(centers)
-        if count > 1:
-            index = np.argwhere(centers)
-            nearest = index[np.linalg.norm(self.origin + STEP_MM * index - near, axis=1).argmin()]
-            centers = labels == labels[tuple(nearest)]
-        center = self.origin + STEP_MM * np.argwhere(centers).mean(axis=0)
-        away = ndimage.distance_transform_edt(~centers) * STEP_MM
-        return center, np.asarray(away - share * largest), largest
+    def wide(self, near: FloatArray, share: float) -> tuple[FloatArray, float]:
+        """Centres of balls of `share` of the largest one, joined with it around a place, (k, 3) mm; its radius, mm."""
+        peak = np.clip(np.rint((near - self.origin) / STEP_MM).astype(int), 0, np.array(self.depth.shape) - 1)
+        while True:
+            deepest = float(self.depth[tuple(peak)])
+            large = self.depth >= share * deepest
+            index = np.argwhere(large)
+            low = index.min(axis=0)
+            box = tuple(slice(begin, end + 1) for begin, end in zip(low, index.max(axis=0), strict=True))
+            labels, _ = ndimage.label(large[box])
+            joined = low + np.argwhere(labels == labels[tuple(peak - low)])
+            top = joined[self.depth[tuple(joined.T)].argmax()]
+            if self.depth[tuple(top)] <= deepest:
+                return self.origin + STEP_MM * joined, deepest
+            peak = top
 
 
 def filled(corners: FloatArray) -> Filled:

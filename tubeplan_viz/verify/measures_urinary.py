@@ -9,13 +9,12 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from tubeplan_viz.verify.hollow import Filled, Planes, at, lengths
 from tubeplan_viz.verify.measures_compared import Items, compared, degrees
+from tubeplan_viz.verify.pelvis import SHARE, Pelvis, pelvis_of, together
 from tubeplan_viz.verify.verification import Check
 
 LIMITS = {"°": 3.0, "length": 1.0, "width": 0.8, "ball": 1.0}  # degrees, mm
-PELVIS_SHARE = 0.85
 # A calyx's bottom lies on the CT's edge, which partial volume sets off the mesh by about a voxel's diagonal at most.
 WALL_MM = 1.6
-PARTED_MM = 0.5  # where two calyces' ways part, within the mesh's own error
 CORONAL = np.array([1.0, 0.0, 1.0])
 
 
@@ -38,16 +37,18 @@ def check_urinary(
         expected="at least one, all of it inside the lumen",
         text="The middle lines that were measured along run inside mesh.ply.",
     )
-    center, outside, radius = hollow.wide(points.get("pelvis", np.zeros(3)), PELVIS_SHARE)
+    if not ways:
+        return
+    pelvis = pelvis_of(list(ways.values()), hollow)
     if ("pelvis_diameter_mm", "") in items:
         yield compared(
             "pelvis_diameter_mm",
-            [("", items["pelvis_diameter_mm", ""], 2.0 * radius)],
+            [("", items["pelvis_diameter_mm", ""], 2.0 * pelvis.largest)],
             LIMITS["ball"],
             "mm",
-            "The largest ball of the voxels inside mesh.ply is as large as stated.",
+            "The largest ball of the voxels inside mesh.ply, before the necks of the calyces, is as large as stated.",
         )
-    made = infundibula(items, ways, points, hollow, planes, center, outside, level, frame)
+    made = infundibula(items, ways, points, hollow, planes, pelvis, level, frame)
     texts = {
         "angle": ("°", "°", "The angle between the ureter and the middle line of the infundibulum is as stated."),
         "coronal angle": ("°", "°", "The same angle from the front is as stated."),
@@ -60,7 +61,7 @@ def check_urinary(
             limit, unit, text = texts[kind]
             yield compared(f"{kind} of infundibula" if kind != "calyx" else "calyx diameters", rows, LIMITS[limit], unit, text)
     yield from check_bottoms(points, hollow)
-    yield from check_ureter(items, ways, planes, outside, hollow)
+    yield from check_ureter(items, ways, planes, pelvis, hollow)
 
 
 def infundibula(
@@ -69,8 +70,7 @@ def infundibula(
     points: Mapping[str, FloatArray],
     hollow: Filled,
     planes: Planes,
-    center: FloatArray,
-    outside: FloatArray,
+    pelvis: Pelvis,
     level: float,
     frame: str,
 ) -> dict[str, list[tuple[str, float, float]]]:
@@ -80,11 +80,11 @@ def infundibula(
     for name, labels in groups.items():
         of = f"{name} infundibulum"
         way = max((ways[label] for label in labels), key=lambda line: float(lengths(line)[-1]))
-        lip = lip_of(way, hollow, outside)
+        lip = lip_of(way, pelvis)
         if lip is None:
             continue
         end = parting(way, [ways[label] for label in labels], lip, hollow)
-        down = down_of(way, center, level)
+        down = down_of(way, pelvis.center, level)
         axis = direction([at(way, s) for s in np.linspace(lip, max(end, lip + 8.0), 33)])
         if ("infundibulopelvic_angle_deg", of) in items and down is not None:
             made["angle"].append((of, items["infundibulopelvic_angle_deg", of], degrees(down, axis)))
@@ -103,7 +103,8 @@ def infundibula(
                 made["length"].append((part, items["infundibular_length_mm", part], whole))
             if ("calyx_diameter_mm", part) in items:
                 last = float(lengths(ways[label])[-1])
-                begin = last - 0.5 * (last - (end if len(labels) > 1 else lip))
+                own = max((together(ways[label], ways[other]) for other in labels if other != label), default=lip)
+                begin = last - 0.5 * (last - own)
                 found = planes.chords(ways[label], np.arange(begin, last, 0.5))
                 made["calyx"].append((part, items["calyx_diameter_mm", part], float(found.max()) if len(found) else np.nan))
     return made
@@ -137,22 +138,22 @@ def reach_to(hollow: Filled, point: FloatArray, *, inside: bool) -> float:
     return float(away.min()) if len(away) else np.inf
 
 
-def check_ureter(
-    items: Items, ways: Mapping[str, FloatArray], planes: Planes, outside: FloatArray, hollow: Filled
-) -> Iterator[Check]:
+def check_ureter(items: Items, ways: Mapping[str, FloatArray], planes: Planes, pelvis: Pelvis, hollow: Filled) -> Iterator[Check]:
     """Mean and least diameter of the ureter below the pelvis."""
     if ("ureter_diameter_mean_mm", "") not in items or not ways:
         return
-    way = max(ways.values(), key=lambda line: float(hollow.at(hollow.depth, line).max()))
-    entered = np.flatnonzero(hollow.at(outside, way) <= 0.0)
-    if not len(entered):
-        return
+    way = max(ways.values(), key=lambda line: float((hollow.at(hollow.depth, line) * (pelvis.outside(line) <= 0.0)).max()))
     along, deep = lengths(way), hollow.at(hollow.depth, way)
-    before = np.arange(len(way)) < entered[0]
-    narrow = np.flatnonzero(before & (deep <= 0.5 * hollow.depth.max()))
-    if not len(narrow):
-        return
-    last = float(along[narrow[-1]])
+    if pelvis.divided is not None and float(deep[along <= pelvis.divided].max()) < SHARE * pelvis.largest:
+        last = pelvis.divided
+    else:
+        entered = np.flatnonzero(pelvis.outside(way) <= 0.0)
+        if not len(entered):
+            return
+        narrow = np.flatnonzero((np.arange(len(way)) < entered[0]) & (deep <= 0.5 * pelvis.largest))
+        if not len(narrow):
+            return
+        last = float(along[narrow[-1]])
     found = planes.diameters(way, np.arange(2.0, max(last - 2.0, 4.0), 1.0))
     text = "The ureter's sections in mesh.ply are as wide as stated."
     for key, mine in (("ureter_diameter_mean_mm", found.mean()), ("ureter_diameter_min_mm", found.min())):
@@ -171,9 +172,9 @@ def groups_of(items: Items, ways: Mapping[str, FloatArray]) -> dict[str, list[st
     return groups
 
 
-def lip_of(way: FloatArray, hollow: Filled, outside: FloatArray) -> float | None:
+def lip_of(way: FloatArray, pelvis: Pelvis) -> float | None:
     """Arc length at which a way leaves the pelvis for good, mm; None where it does not pass it."""
-    level = hollow.at(outside, way)
+    level = pelvis.outside(way)
     inside = np.flatnonzero(level <= 0.0)
     if not len(inside) or inside[-1] == len(way) - 1:
         return None
@@ -186,13 +187,7 @@ def parting(way: FloatArray, group: list[FloatArray], lip: float, hollow: Filled
     """Arc length at which the ways of a group part; at the widest place of the far half where there is but one."""
     along = lengths(way)
     if len(group) > 1:
-        apart = [
-            float(along[k])
-            for other in group
-            if other is not way
-            for k in np.flatnonzero(np.linalg.norm(way[:, None] - other, axis=2).min(axis=1) > PARTED_MM)[:1]
-        ]
-        return min(apart, default=float(along[-1]))
+        return min(together(way, other) for other in group if other is not way)
     far = along >= 0.5 * (lip + along[-1])
     return float(along[far][hollow.at(hollow.depth, way[far]).argmax()])
 

@@ -37,6 +37,9 @@ def test_a_hole_is_taken_off() -> None:
     found = shell.outline(np.array([-2.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     assert found is not None
     assert found.area == pytest.approx(np.pi * (36.0 - 4.0), rel=0.01)
+    # The first wall towards the hole is the hole's, at x = 0.5; away from it the ball's, at -6.
+    toward, away = (np.arctan2(*(found.plane @ [side, 0.0, 0.0])[::-1]) for side in (1.0, -1.0))
+    np.testing.assert_allclose(found.radii(np.array([toward, away])), [2.5, 4.0], rtol=6e-3)
 
 
 def test_a_swept_tube_is_closed_outward_and_as_thick_as_asked() -> None:

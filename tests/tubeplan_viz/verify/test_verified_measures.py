@@ -14,16 +14,21 @@ import pytest
 from segmentation.mesh import Surface
 from segmentation.synthetic import weibel_airway
 from tubeplan_viz.bench.measures import measured
-from tubeplan_viz.measures import Measure, StoneFacts, path_measures, rirs, russ
-from tubeplan_viz.pipeline import grow_tree
+from tubeplan_viz.cases.inputs import InputCase
+from tubeplan_viz.measures import Measure, StoneFacts, UrinarySettings, path_measures, rirs, russ, urinary_measures
+from tubeplan_viz.pipeline import grow_tree, load_lumen
 from tubeplan_viz.pipeline.measures import details_of, measured_airway
+from tubeplan_viz.pipeline.parts import urinary_lumen
 from tubeplan_viz.verify.hollow import Planes, filled
 from tubeplan_viz.verify.measures import check_measures
+from tubeplan_viz.verify.measures_urinary import check_urinary
 from tubeplan_viz.verify.mesh_file import MeshFile, read_mesh
+from tubeplan_viz.verify.pelvis import first_parting, pelvis_of, together
 from tubeplan_viz.verify.profile import OwnProfile, measure
 from tubeplan_viz.verify.run import _lumen, _path_of
 
 Told = dict[str, Any]
+KIDNEYS = Path(__file__).parents[4] / "shared" / "data" / "hubmap_ureter_female"
 
 
 @pytest.fixture(scope="module")
@@ -198,13 +203,41 @@ def test_a_filled_ball_has_its_volume_and_its_depth(phantoms: Any) -> None:
     volume = np.pi * 25.0 * 12.0 + 4.0 / 3.0 * np.pi * 125.0
     # Voxels of 0.5 mm; those cut by the wall are in or out by halves, and 96 facets take 0.1 %.
     assert (hollow.depth > 0.0).sum() * 0.5**3 == pytest.approx(volume, rel=0.02)
-    center, outside, largest = hollow.wide(np.zeros(3), 0.85)
-    assert largest == pytest.approx(5.0, abs=0.5)  # a voxel
-    np.testing.assert_allclose(center, [0.0, 0.0, 6.0], atol=0.2)
+    found = pelvis_of([np.column_stack([np.zeros(13), np.zeros(13), np.arange(13.0)])], hollow)
+    assert found.largest == pytest.approx(5.0, abs=0.5)  # a voxel
+    assert found.divided is None
+    np.testing.assert_allclose(found.center, [0.0, 0.0, 6.0], atol=0.2)
     # What such balls reach is the capsule itself: its end lies at z = 17, half a voxel's depth either way.
     ends = np.array([[0.0, 0.0, 15.5], [0.0, 0.0, 18.5]])
-    np.testing.assert_allclose(hollow.at(outside, ends), [-1.5, 1.5], atol=0.5)
+    np.testing.assert_allclose(found.outside(ends), [-1.5, 1.5], atol=0.5)
     line = np.column_stack([np.zeros(13), np.zeros(13), np.arange(13.0)])
     planes = Planes(corners)
     np.testing.assert_allclose(planes.diameters(line, np.array([3.0, 6.0])), 10.0, atol=0.02)  # 96 facets: 0.01 mm
     np.testing.assert_allclose(planes.chords(line, np.array([6.0])), 10.0, atol=0.02)
+
+
+def test_ways_that_share_their_points_part_where_they_differ() -> None:
+    stem = np.column_stack([np.zeros(31), np.zeros(31), np.arange(31.0)])
+    onward = [
+        30.0 * np.array([0.0, 0.0, 1.0]) + np.arange(1.0, 21.0)[:, None] * np.array([side, 0.0, 1.0]) for side in (-1.0, 1.0)
+    ]
+    left, right = (np.vstack([stem, arm]) for arm in onward)
+    assert together(left, right) == 30.0
+    assert together(left, left) == pytest.approx(30.0 + 20.0 * np.sqrt(2.0))
+    # A bulge that leaves the ureter after 10 mm does not lead on.
+    bulge = np.vstack([stem[:11], stem[10] + np.arange(1.0, 5.0)[:, None] * np.array([1.0, 0.0, 0.0])])
+    assert first_parting([left, right, bulge]) == 30.0
+    assert first_parting([left, bulge]) is None
+
+
+@pytest.mark.skipif(not KIDNEYS.exists(), reason="the shared data folder is not beside the repository")
+@pytest.mark.parametrize("side", ["L", "R"])
+def test_a_pelvis_in_arms_is_found_again(side: str) -> None:
+    tree = grow_tree(load_lumen(InputCase(mesh=KIDNEYS / f"fused_F_{side}_mm.stl")).surface)
+    found = urinary_measures(urinary_lumen(tree, None, None), UrinarySettings())
+    items = {(one.key, one.of): one.value for one in found.measures if one.value is not None}
+    lines, points = dict(found.drawing.lines), dict(found.drawing.points)
+    corners = tree.surface.vertices[tree.surface.faces]
+    checks = list(check_urinary(items, lines, points, filled(corners), Planes(corners), 40.0, "mesh"))
+    assert [check.text for check in checks if not check.ok] == []
+    assert {"measures: pelvis_diameter_mm", "measures: length of infundibula"} <= {check.name for check in checks}
