@@ -40,8 +40,8 @@ class Snagged:
 
 
 def stopped(before: Step, made: Step) -> Step:
-    """The robot rests where it was, as one that halts before it is pressed through the wall."""
-    return replace(before, command=made.command, halted=True)
+    """The robot halts near the end of its way, before it is pressed through the wall."""
+    return replace(made, halted=True)
 
 
 def hung(before: Step, made: Step) -> Step:
@@ -88,7 +88,7 @@ def test_a_robot_that_is_always_stopped_gives_up_after_few_pushes_a_sample(wall:
     assert not always.reached
     assert always.reason is not None
     assert "'beyond'" in always.reason
-    # A push of 8 mm is tried at 8 and 5 mm only; at most one more leads from a sample's pose to the snag.
+    # A push of 8 mm is tried at 8 and 5 mm only; at most two more lead from a sample's pose to the snag.
     assert sum(tally.pushes for tally in always.tallies) <= 5 * 4
 
 

@@ -114,6 +114,17 @@ def test_drawing_back_undoes_a_push(mover: KinematicMover) -> None:
     assert len(back.body) == len(start.body)
 
 
+@pytest.mark.parametrize("back", [0.4, 4.65, 8.9])
+def test_drawing_back_a_part_leaves_the_rest_of_the_way(mover: KinematicMover, back: float) -> None:
+    phi, push, length = 0.4, 9.3, Robot().proximal_length
+    bent = mover.move(mover.start(), command(phi, 1.0))
+    part = mover.move(mover.move(bent, command(phi, 1.0, push=push)), command(phi, 1.0, push=-back))
+    # The base goes back on its own arc, wherever on a stored piece of it that ends; and then on to where it began.
+    left = push - back
+    assert part.base == pytest.approx(bent.base @ section_transform(left, phi * left / length, 1.0), abs=1e-9)
+    assert mover.move(part, command(phi, 1.0, push=-left)).base == pytest.approx(bent.base, abs=1e-9)
+
+
 def test_the_same_command_gives_the_same_step(mover: KinematicMover) -> None:
     one, two = (mover.move(mover.start(), command(0.4, 1.0, push=5.0, distal=0.8)) for _ in range(2))
     assert one.tip.tolist() == two.tip.tolist()

@@ -19,13 +19,15 @@ def test_curvature_depth_and_motion_are_drawn_as_the_settings_say(monkeypatch: p
         (event,) = events
         drawn.append((true_kappa, event))
         assert watched.noise == 0.4
+        assert watched.tolerance == 0.2  # half of the noise: what noise alone makes of the tip is not planned after
 
     monkeypatch.setattr(module, "insert", noted)
     runs, kappa, target = 4000, 0.02, np.array([1.0, 2.0, 90.0])
+    pose: Any = SimpleNamespace()
     problem: Any = SimpleNamespace(settings=SimpleNamespace(kappa=kappa), target=target)
     controls: Any = SimpleNamespace(length=100.0)
     settings = MonteCarloSettings(runs=runs, curvature_error=0.1, noise=0.4, target_motion=3.0)
-    monte_carlo(problem, SimpleNamespace(), controls, settings, rng=np.random.default_rng(3))
+    monte_carlo(problem, pose, controls, settings, rng=np.random.default_rng(3))
     error = np.array([true for true, _ in drawn]) / kappa - 1.0
     # A normal distribution cut at three deviations loses 1.3 % of its deviation; 4000 draws tell it to 1.1 %, its mean to 0.0016.
     assert error.std() == pytest.approx(0.1, rel=0.05)

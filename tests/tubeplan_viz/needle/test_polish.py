@@ -35,7 +35,8 @@ def test_where_samples_miss_the_nearest_place_the_path_is_polished_again_with_mo
     """Danger weighs nothing, so the path passes as near as it may; samples 3 mm apart let it come nearer than that."""
     rod = Capsule(np.array([[-3.0, 2.0, 47.0], [3.0, 2.0, 47.0]]), 3.0)
     case = problem(Scene((rod,), spacing=3.0), weight_danger=0.0)
-    near, kept = [], []
+    near: list[float] = []
+    kept: list[float] = []
     for start in best_starts(case, 3):
         for made, told in ((polish(case, start), near), (polish_clear(case, start), kept)):
             if made is not None:

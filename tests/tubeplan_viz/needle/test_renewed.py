@@ -14,10 +14,10 @@ from tubeplan_viz.needle.replan import bent, first_part, misses, padded, renewed
 from tubeplan_viz.needle.spatial import NeedleSettings, SpatialProblem
 from tubeplan_viz.needle.swarm import plan_spatial
 
-ORIGIN, KAPPA = Pose(np.zeros(3), np.eye(3)), 0.02
+ORIGIN, KAPPA, NOTHING = Pose(np.zeros(3), np.eye(3)), 0.02, Scene(())
 
 
-def problem(target: tuple[float, float, float], scene: Scene = Scene(())) -> SpatialProblem:
+def problem(target: tuple[float, float, float], scene: Scene = NOTHING) -> SpatialProblem:
     return SpatialProblem(ORIGIN, np.array(target), scene, NeedleSettings(kappa=KAPPA))
 
 
@@ -102,7 +102,7 @@ def test_a_target_that_moves_out_of_reach_far_from_it_makes_the_needle_withdraw(
 def test_a_target_that_moves_a_little_near_the_end_is_missed_by_that(
     ahead: tuple[SpatialProblem, Controls], left: float, away: float
 ) -> None:
-    """Nothing bends aside by 1.5 mm on 10 mm: 2 * 1.5 / (1.5^2 + 10^2) is more than kappa; what is planned is pushed to its end."""
+    """Nothing bends aside by 1.5 mm on 10 mm, since 2 * 1.5 / (1.5^2 + 10^2) is more than kappa: the plan goes to its end."""
     case, controls = ahead
     assert 2.0 * away / (away**2 + left**2) > KAPPA
     made = insert(case, ORIGIN, controls, (Event(at=controls.length - left, target=np.array([away, 0.0, 100.0])),))
@@ -130,5 +130,5 @@ def test_a_rod_that_moves_goes_as_a_whole() -> None:
     rod = Capsule(np.array([[-20.0, 8.0, 40.0], [20.0, 8.0, 42.0]]), 3.0)
     (gone,) = moved(Scene((rod,)), 0, np.array([-20.0, -2.0, 45.0])).obstacles
     assert isinstance(gone, Capsule)
-    assert gone.points == pytest.approx(rod.points + [0.0, -10.0, 5.0])
+    assert gone.points == pytest.approx(rod.points + np.array([0.0, -10.0, 5.0]))
     assert gone.radius == 3.0
