@@ -50,39 +50,42 @@ def oriented_samples(surface: Surface, spacing: float) -> tuple[FloatArray, Floa
     """
     wall = surface.face_cap < 0
     faces, normals = surface.faces[wall], surface.face_normals[wall]
-    corners = surface.vertices[faces]  # (m, 3, 3)
-    weighted = surface.face_areas[wall][:, None] * normals
+    areas, vertices = surface.face_areas[wall], surface.vertices
     sums = np.column_stack(
-        [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), minlength=len(surface.vertices)) for k in range(3)]
+        [np.bincount(faces.ravel(), np.repeat(areas * normals[:, k], 3), minlength=len(vertices)) for k in range(3)]
     )
-    used = np.zeros(len(surface.vertices), dtype=bool)
+    used = np.zeros(len(vertices), dtype=bool)
     used[faces] = True
     # Rows of points along the longest edge, and points on all edges: a sliver gets as many as it is long, not their square.
     step = CLOSER * spacing
-    half = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    _, first = np.unique(half.min(axis=1) * len(surface.vertices) + half.max(axis=1), return_index=True)
-    segments, leaning = surface.vertices[half[first]], normals[first // 3]
-    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    longest = lengths.argmax(axis=1)
-    rows = np.arange(len(corners))
-    a, b, c = (corners[rows, (longest + k) % 3] for k in range(3))
-    height = 2.0 * surface.face_areas[wall] / np.maximum(lengths.max(axis=1), 1e-300)
-    count = np.where(lengths.max(axis=1) > spacing, np.ceil(height / step), 1.0)
-    if (np.maximum(lengths.max(axis=1) / step, 1.0) * count).sum() > WALL_POINTS_MAX:
+    lengths = np.column_stack([np.linalg.norm(vertices[faces[:, (k + 1) % 3]] - vertices[faces[:, k]], axis=1) for k in range(3)])
+    longest = lengths.max(axis=1)
+    height = 2.0 * areas / np.maximum(longest, 1e-300)
+    count = np.where(longest > spacing, np.ceil(height / step), 1.0)
+    if (np.maximum(longest / step, 1.0) * count).sum() > WALL_POINTS_MAX:
         raise GeometryError(
-            f"the wall has {surface.face_areas[wall].sum():.3g} mm^2 around {surface.volume_ml:.3g} ml, too much for points "
+            f"the wall has {areas.sum():.3g} mm^2 around {surface.volume_ml:.3g} ml, too much for points "
             f"{spacing:.2g} mm apart, which its narrowness asks for; a lumen is no such sheet: mend the mesh"
         )
-    face, share = even_shares(count.astype(np.int64))
+    # A fine mesh has few edges and faces that are cut at all: what follows is made for those alone.
+    cut = np.flatnonzero(lengths.ravel() > spacing)
+    ends = faces[cut // 3, cut % 3], faces[cut // 3, (cut + 1) % 3]
+    _, first = np.unique(np.minimum(*ends) * len(vertices) + np.maximum(*ends), return_index=True)
+    segments = np.stack([vertices[end[first]] for end in ends], axis=1)
+    leaning = normals[cut[first] // 3]
+    tall = np.flatnonzero(count > 1.0)
+    along = lengths[tall].argmax(axis=1)
+    a, b, c = (vertices[faces[tall, (along + k) % 3]] for k in range(3))
+    face, share = even_shares(count[tall].astype(np.int64))
     within = np.stack([a[face] + share * (c - a)[face], b[face] + share * (c - b)[face]], axis=1)
-    segments, leaning = np.concatenate([segments, within]), np.concatenate([leaning, normals[face]])
+    segments, leaning = np.concatenate([segments, within]), np.concatenate([leaning, normals[tall[face]]])
     length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     segment, share = even_shares(np.where(length > spacing, np.ceil(length / step), 1.0).astype(np.int64))
     # The ends of a row within a face lie on edges, which have points of their own.
     added = segments[segment, 0] + share * (segments[segment, 1] - segments[segment, 0])
     direction = np.concatenate([sums[used], leaning[segment]])
     norm = np.linalg.norm(direction, axis=1, keepdims=True)
-    points = np.concatenate([surface.vertices[used], added])
+    points = np.concatenate([vertices[used], added])
     return points, np.divide(direction, norm, out=np.zeros_like(direction), where=norm > 0.0)
 
 
