@@ -54,7 +54,11 @@ def text(value: Any, where: str) -> str:
     """A value that must be text."""
     if not isinstance(value, str | os.PathLike):
         raise CaseError(f"{where}: found {brief(value)}, expected text")
-    return os.fspath(value)
+    found = os.fspath(value)
+    # Bytes of a command line or file name that are no UTF-8 come as such characters, and no file can hold them.
+    if any("\ud800" <= letter <= "\udfff" for letter in found):
+        raise CaseError(f"{where}: found {brief(found)}, expected text in UTF-8; write it again in that encoding, or in ASCII")
+    return found
 
 
 def located(value: Any, folder: Path | None, where: str) -> Path:

@@ -226,6 +226,8 @@ class RunFolder:
     def _check_target(self) -> None:
         if not self.name:
             raise RunFolderError("the root of the file system cannot be a run folder; name a folder to be made")
+        if any("\ud800" <= letter <= "\udfff" for letter in self.name):  # bytes that are no UTF-8: no comparison could name it
+            raise RunFolderError(f"{self.name!a} is no name in UTF-8; choose another name, for instance one in ASCII")
         if not os.path.lexists(self._target):
             return
         if self._target.is_symlink() or not self._target.is_dir():

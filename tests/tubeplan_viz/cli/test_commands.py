@@ -129,10 +129,10 @@ BAD: list[tuple[tuple[str, ...], str]] = [
     ),
     (("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E1"), "start and goal are both"),
     (("plan", "tube", "--mesh", "{tube}", "--start", "1,2", "--goal", "E1"), "expected three numbers"),
-    (("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E2", "--curvature-max", "0"), "curvature_max is 0"),
+    (("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E2", "--curvature-max", "0"), "--curvature-max is 0"),
     (
         ("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E2", "--clearance-min", "abc"),
-        "--clearance-min.* valid number",
+        "--clearance-min: found 'abc', expected a number .least distance to the wall",
     ),
     (("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E2", "--method", "magic"), "no method 'magic'"),
     (("plan", "tube", "--mesh", "{tube}", "--start", "E1", "--goal", "E2", "--scans", "peaks"), "unknown feature scan 'peaks'"),
@@ -147,6 +147,9 @@ BAD: list[tuple[tuple[str, ...], str]] = [
     (("endpoints", "tube.ply", "--clearance-min", "2"), "No such option: --clearance-min"),
     (("bench", "nothing"), "no benchmark 'nothing', expected one of paper, centerline"),
     (("bogus",), "bogus"),
+    # A byte that is no UTF-8, as Python hands it on.
+    (("plan", "tube", "--mesh", "{tube}", "--case-id", "J\udcf6rg"), r"--case-id: found 'J\\udcf6rg', expected text in UTF-8"),
+    (("export", "run", "-o", "p\udcfc"), r"'p\\udcfc' is no name in UTF-8"),
 ]
 
 
