@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from tubeplan_viz.cli.streams import flushed, open_streams
 from tubeplan_viz.interrupts import ending_like_ctrl_c, no_more_interrupts
 
 __all__ = ["main"]
@@ -13,6 +14,7 @@ __all__ = ["main"]
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the status that the README lists."""
     with ending_like_ctrl_c():
+        open_streams()
         try:
             # Imported here: each process that a command starts reads this module again, and needs none of the commands.
             from tubeplan_viz.cli.app import status_of
@@ -22,4 +24,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.stderr.write("tubeplan: interrupted\n")
             status = 130
         no_more_interrupts()
+        if not flushed():
+            status = 2
         sys.exit(status)
