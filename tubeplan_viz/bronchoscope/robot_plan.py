@@ -120,6 +120,8 @@ class RobotPlan:
     reached : bool
     reason : str or None
         Why the goal was not reached.
+    given_up : tuple of (poses, samples)
+        Of a tree that was grown before this one and did not reach the goal.
     """
 
     steps: tuple[Step, ...]
@@ -131,3 +133,17 @@ class RobotPlan:
     tip_error: float
     reached: bool
     reason: str | None
+    given_up: tuple[int, int] = (0, 0)
+
+    @property
+    def subgoal_distances(self) -> tuple[float | None, ...]:
+        """How far from each stage's sub-goal the tip was when the stage ended, mm; None for stages that were not reached.
+
+        Their sum is the cost of Guo et al. (2022), section 1.2.
+        """
+        made: list[float | None] = []
+        for number, stage in enumerate(self.stages):
+            within = [step for step, at in zip(self.steps, self.step_stages, strict=True) if at <= number]
+            met = within and self.step_stages[-1] >= number
+            made.append(float(np.linalg.norm(within[-1].tip[:3, 3] - stage.goal)) if met else None)
+        return tuple(made)

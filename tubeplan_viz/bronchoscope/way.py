@@ -148,7 +148,9 @@ def plan_moved(
     further = None if watch is None else lambda node, number: watch(node, done + number)
     asked = replace(settings, samples_max=settings.samples_max - FIRST_MOVED, time_budget=left)
     other = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, learns=True, watch=further)
-    return other if other.reached or other.tip_error < plan.tip_error else plan
+    if not other.reached and other.tip_error >= plan.tip_error:
+        return plan
+    return replace(other, given_up=(len(plan.nodes), len(plan.samples)))
 
 
 def replayed(mover: Mover, plan: RobotPlan) -> RobotPlan:

@@ -72,15 +72,18 @@ def plan_details(case: BronchoscopeCase, given: Airway, goal: Target, way: Way, 
                 "collided": tally.refused,
                 "foreseen": tally.foreseen,
                 "seconds": round(tally.seconds, 4),
+                "subgoal_distance_mm": away,
             }
-            for stage, tally in zip(plan.stages, plan.tallies, strict=True)
+            for stage, tally, away in zip(plan.stages, plan.tallies, plan.subgoal_distances, strict=True)
         ],
+        "cost_mm": sum(away for away in plan.subgoal_distances if away is not None),
         "steps": [step_details(k, step, plan) for k, step in enumerate(plan.steps)],
         "contacts": contact_details(plan),
         "tree": {
             "poses": len(plan.nodes),
             "collided": sum(not node.accepted for node in plan.nodes),
             "samples": len(plan.samples),
+            "given_up": {"poses": plan.given_up[0], "samples": plan.given_up[1]},
         },
         "foreplan": None
         if way.foreplan is None

@@ -37,6 +37,7 @@ def check_bronchoscope(folder: Path, result: Mapping[str, Any], lumen: Lumen) ->
     steps = result["details"]["steps"]
     yield from check_commands(result)
     yield from check_end(result)
+    yield from check_subgoals(result)
     yield from check_actuation(folder, result)
     states = read_states(folder)
     whole = states is not None and len(states) == len(steps)
@@ -84,6 +85,31 @@ def check_end(result: Mapping[str, Any]) -> Iterator[Check]:
         found=f"{error:.4f} mm from the target, the path's end {gap:.2g} mm from the tip",
         expected=f"{metrics['tip_error_mm']:.4f} mm, and the same place",
         text="The last step's tip, the path's end and the stated tip error agree.",
+    )
+
+
+def check_subgoals(result: Mapping[str, Any]) -> Iterator[Check]:
+    """How far the tip was from each sub-goal when its stage ended, and the sum of these distances."""
+    details = result["details"]
+    names = [stage["name"] for stage in details["stages"]]
+    last: dict[int, FloatArray] = {}
+    for step in details["steps"]:
+        last[names.index(step["stage"])] = np.array(step["tip_mm"], float)
+    wrong, cost, tip = [], 0.0, None
+    for number, stage in enumerate(details["stages"]):
+        tip = last.get(number, tip)
+        met = tip is not None and number <= max(last)
+        away = float(np.linalg.norm(tip - np.array(stage["goal_mm"], float))) if met and tip is not None else None
+        cost += away or 0.0
+        told = stage["subgoal_distance_mm"]
+        if (told is None) != (away is None) or (told is not None and away is not None and abs(told - away) > SAME_MM):
+            wrong.append(stage["name"])
+    yield Check(
+        name="stages: distances to the sub-goals",
+        ok=not wrong and abs(details["cost_mm"] - cost) <= SAME_MM,
+        found=f"otherwise in {', '.join(wrong)}" if wrong else f"{details['cost_mm']:.4f} mm in all",
+        expected=f"those of the tips at the stages' ends, {cost:.4f} mm in all",
+        text="The cost is the sum of the tip's distances to the sub-goals where the stages end.",
     )
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tubeplan_viz.bench.models import straight_tube
+from tubeplan_viz.bronchoscope.aiming import Aim
 from tubeplan_viz.bronchoscope.guide import Guide
 from tubeplan_viz.bronchoscope.kinematic import KinematicMover
 from tubeplan_viz.bronchoscope.kinematics import pose_along
@@ -25,16 +27,22 @@ SHORT = 4.0
 
 @dataclass(frozen=True)
 class Snagged:
-    """The mover without forces in a tube with a snag, at which `outcome` says what becomes of a push."""
+    """The mover without forces in a tube with a snag, at which `outcome` says what becomes of a push.
+
+    `brush` is the clearance that is told of the front disc after every move, where it is given.
+    """
 
     mover: KinematicMover
     outcome: Callable[[Step, Step], Step]
+    brush: float | None = None
 
     def start(self) -> Step:
         return self.mover.start()
 
     def move(self, step: Step, command: Command) -> Step:
         made = self.mover.move(step, command)
+        if self.brush is not None:
+            made = replace(made, disc_clearance=self.brush)
         long = step.tip[1, 3] < SNAG < made.tip[1, 3] and command.push > SHORT
         return self.outcome(step, made) if long else made
 
@@ -56,7 +64,7 @@ def wall() -> WallDistance:
     return WallDistance(straight_tube(LENGTH, RADIUS).surface)
 
 
-def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], **asked: int) -> RobotPlan:
+def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], *, brush: float | None = None, **asked: Any) -> RobotPlan:
     robot = Robot()
     points = np.column_stack([np.zeros(161), np.linspace(0.5, 80.5, 161), np.zeros(161)])
     guide = Guide(points, np.full(161, RADIUS))
@@ -65,7 +73,7 @@ def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], **asked: 
         Stage(name="before", begin=0.0, end=40.0, goal=np.array([0.0, 40.5, 0.0]), radius=3.0),
         Stage(name="beyond", begin=40.0, end=75.5, goal=goal, radius=3.0),
     )
-    mover = Snagged(KinematicMover(wall, robot, pose_along([0.0, 0.5, 0.0], [0.0, 1.0, 0.0])), outcome)
+    mover = Snagged(KinematicMover(wall, robot, pose_along([0.0, 0.5, 0.0], [0.0, 1.0, 0.0])), outcome, brush)
     settings = PlannerSettings(**asked)
     return plan_segmented(mover, robot, guide, stages, settings, wall=wall, rng=np.random.default_rng(0))
 
@@ -105,3 +113,28 @@ def test_a_tip_counts_as_caught_by_its_way_along_the_guide(wall: WallDistance) -
     # Along a straight guide the share of the way is the share of the push, to the 0.5 mm between the guide's points.
     assert any(not node.accepted for node in planned(wall, moved(CAUGHT - 0.1)).nodes)
     assert all(node.accepted for node in planned(wall, moved(CAUGHT + 0.1)).nodes)
+
+
+def test_a_disc_that_brushes_the_wall_may_pass_but_not_end_there(wall: WallDistance) -> None:
+    free, cut = (planned(wall, lambda before, made: made, brush=gap, disc_margin=-0.05, samples_max=30) for gap in (0.01, -0.02))
+    assert free.reached
+    assert not cut.reached
+    # It did come there: brushing by less than the margin does not stop a push.
+    assert min(float(np.linalg.norm(node.tip - cut.stages[-1].goal)) for node in cut.nodes) < 0.5
+
+
+def test_a_command_leads_away_from_a_wall_that_the_guide_runs_too_near_to() -> None:
+    robot, radius, aside = Robot(), 2.4, 0.6
+    narrow = WallDistance(straight_tube(LENGTH, radius).surface)
+    points = np.column_stack([np.full(161, aside), np.linspace(0.5, 80.5, 161), np.zeros(161)])
+    guide = Guide(points, np.full(161, radius - aside))
+    last = Stage(name="along", begin=0.0, end=79.0, goal=points[-3], radius=0.3)
+    mover = KinematicMover(narrow, robot, pose_along([aside, 0.5, 0.0], [0.0, 1.0, 0.0]), far=np.inf)
+    start = mover.start()
+    # The straight robot on that guide has 2.4 - 0.6 - 1.75 mm of room, and 0.15 are asked for.
+    assert start.body_clearance == pytest.approx(0.05, abs=0.01)
+    aim = Aim(robot=robot, guide=guide, wall=narrow, last=last)
+    made = mover.move(start, aim.command(start, 26.0, 4.0, np.zeros(3), last))
+    assert made.tip[0, 3] < aside - 0.05
+    away = np.linalg.norm(made.body[-13:, ::2], axis=1)  # of the distal section, across the tube
+    assert away.max() < aside

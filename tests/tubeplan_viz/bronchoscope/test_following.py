@@ -140,6 +140,7 @@ def test_what_they_do_not_reach_is_planned_again_by_learning_with_the_samples_le
     plan, numbers = tried(monkeypatch, tries, samples_max=50)
     assert plan.reached
     assert plan.tip_error == 0.3
+    assert plan.given_up == (3, 0)  # poses and samples of the first tree
     assert tries.asked == [(FIRST_MOVED, False), (50 - FIRST_MOVED, True)]
     assert numbers == [0, 1, 2, 3, 4, 5]  # poses of both trees are told apart
 

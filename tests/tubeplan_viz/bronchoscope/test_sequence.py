@@ -66,6 +66,23 @@ def test_the_derivatives_are_those_of_the_residuals(narrow: Any) -> None:
         assert told == pytest.approx(slopes[: len(told), column], abs=5e-3)
 
 
+def test_bends_beyond_the_robots_and_changes_of_a_bend_are_what_they_cost(narrow: Any) -> None:
+    tree, robot, guide, _, _, plan = narrow
+    start = plan.steps[0]
+    problem = Problem(
+        start, robot, guide, tree.wall, np.asarray(plan.stages[-1].goal), guide.nearest(start.tip[:3, 3], 0.0, 60.0)
+    )
+    knots, length = problem.guess()
+    knots = 0.0 * knots
+    course = problem.course(knots, length)
+    plain = problem.residuals(course, knots, 0.25, 0.5)[0]
+    bent = knots.copy()
+    bent[3, 1] = (robot.bend_max + 0.2) * np.array([0.6, 0.8])
+    # The same course: only what the knots say of themselves differs. 10 per rad too much; 0.5 * 0.02 per rad of each change.
+    over = problem.residuals(course, bent, 0.25, 0.5)[0]
+    assert float(over @ over - plain @ plain) == pytest.approx((10.0 * 0.2) ** 2 + 2.0 * (0.01 * (robot.bend_max + 0.2)) ** 2)
+
+
 def test_all_commands_at_once_find_the_way_that_pushes_one_by_one_do_not(narrow: Any) -> None:
     tree, robot, guide, mover, settings, plan = narrow
     assert not plan.reached

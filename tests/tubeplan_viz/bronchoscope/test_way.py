@@ -6,6 +6,7 @@ import csv
 import importlib.util
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,19 @@ def test_the_texts_route_is_planned_without_touching_the_wall(planned: Any, made
         assert made_airway.tree.wall.clearance(dense).min() >= Robot().radius - 0.02
 
 
+def test_the_cost_is_what_is_left_to_the_sub_goals_where_stages_end(planned: Any) -> None:
+    away = planned.subgoal_distances
+    assert None not in away
+    assert away[-1] == pytest.approx(planned.tip_error)
+    for number, (stage, distance) in enumerate(zip(planned.stages[:-1], away[:-1], strict=True)):
+        end = [step for step, at in zip(planned.steps, planned.step_stages, strict=True) if at <= number][-1]
+        assert distance == pytest.approx(float(np.linalg.norm(end.tip[:3, 3] - stage.goal)))
+        # A stage ends beside its sub-goal: within the sphere of samples, or at most a push's millimetre beyond it.
+        assert distance < stage.radius + 1.0
+    short = replace(planned, steps=planned.steps[:4], step_stages=planned.step_stages[:4])
+    assert short.subgoal_distances[-1] is None
+
+
 def test_the_same_seed_gives_the_same_plan(planned: Any, made_airway: Any) -> None:
     robot, tree = Robot(), made_airway.tree
     target = branch_target(tree, GOAL, robot)
@@ -145,6 +159,7 @@ def test_planted_faults_are_found(robot_run: Path, tmp_path: Path) -> None:
     steps[-2]["disc_clearance_mm"] += 0.2
     result["details"]["robot"]["bend_max_deg"] = 30.0
     result["metrics"]["tip_error_mm"] *= 0.5
+    result["details"]["stages"][1]["subgoal_distance_mm"] += 0.01
     (folder / "result.json").write_text(json.dumps(result))
     rows = (folder / "states.csv").read_text().splitlines()
     last = rows[-8].split(",")  # a place of the last state is moved out of the lumen
@@ -156,6 +171,7 @@ def test_planted_faults_are_found(robot_run: Path, tmp_path: Path) -> None:
         "disc: clearance",
         "actuation: bends",
         "tip: at the target",
+        "stages: distances to the sub-goals",
         "states: whole",
         "states: body to wall",
         "files: digests",
