@@ -156,6 +156,9 @@ def _keys(source: Source) -> tuple[Key, ...]:
                 ),
             )
         )
+    else:
+        asked = source.need("limits.clearance_min_mm", 1, "mm")
+        made.append(Key("Least distance", phrase("none"), phrase("between instrument and structures, ", asked, " asked")))
     made.append(
         Key(
             "Entry",

@@ -209,6 +209,7 @@ def entry_details(plan: RigidPlan) -> dict[str, Any]:
                 f"blocked_by_{name.replace(' ', '_')}": int(((found.blocked_by == k) & ~found.feasible).sum())
                 for k, name in enumerate(names)
             },
+            **{f"refused_by_{name.replace(' ', '_')}": int(found.refused[:, k].sum()) for k, name in enumerate(names)},
         },
     }
 

@@ -1,13 +1,13 @@
 """A rigid run checked by other means: labels made again from the CT, the instrument swept past their voxels.
 
 # Strategy: the planner measures from the instrument to the faces of voxels by a kd-tree and projections. Here every voxel of
-# a structure near the way is filled with points, and each point is asked where it lies in the instrument's own coordinates:
-# how far along the axis and how far from it. On a straight push those change by the push alone, so one look per segment is
-# enough; turns are looked at in steps. Points `GRID` to a side leave less than `SLACK_MM` unseen.
+# a structure near the way is filled with points, and each point is asked where it lies in the instrument's own coordinates
+# (`rigid_sweep`). What else the run tells is held against the case, the CT and itself (`rigid_told`).
 """
 
 from __future__ import annotations
 
+import csv
 import tomllib
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -16,47 +16,74 @@ from typing import Any
 
 import numpy as np
 
-from segmentation.anatomy.nasal import NasalScene, propose_scene, shrink
+from segmentation.anatomy.nasal import NasalScene, Tissue
 from segmentation.arrays import BoolArray, FloatArray
 from segmentation.errors import TubeplanError
 from segmentation.faults import shortened
-from segmentation.images import read_ct
-from segmentation.label_file import read_mask
 from tubeplan_viz.verify.needle import check_files
 from tubeplan_viz.verify.page import check_page
+from tubeplan_viz.verify.rigid_head import own_head
+from tubeplan_viz.verify.rigid_sweep import ROUNDING_MM, Boxes, Pose, apart, gaps_along, swept_gap, turned_gap
+from tubeplan_viz.verify.rigid_told import (
+    WRITTEN_MM,
+    check_candidates,
+    check_directions,
+    check_entry,
+    check_head,
+    check_instrument,
+    check_reason,
+    check_source,
+    check_summary,
+    check_worst,
+)
 from tubeplan_viz.verify.verification import Check
 
-GRID = 5  # points of a voxel to a side, its faces included
-SLACK_MM = 0.25  # the diagonal of a gap between points of voxels up to 1.5 mm, halved, less what rounding adds
 SAME_MM = 1e-6
-NEAR_MM = 14.0  # voxels farther than this from the instrument are not looked at
-TURN_STEP = np.radians(0.5)
+BETWEEN_MM = 0.1  # half of what the distance can change between places of the tip 0.2 mm apart
+AROUND_MM = 25.0  # of structures beside starts and lesion that are measured to
+REACH_MM = 14.0
+RIM_MM = 1e-4
 LARGER_IS_BETTER = 4  # goals before this index are distances
 
 
 def check_rigid(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
-    """All checks of a rigid run that has a path."""
+    """All checks of a rigid run, with a path or without."""
     try:
         case = tomllib.loads((folder / "case.toml").read_text(encoding="utf-8"))
     except (OSError, ValueError) as fault:
         name = "case.toml"
         yield Check(name=name, ok=False, found=type(fault).__name__, expected="a TOML file", text="The case cannot be read.")
         return
+    found = result["path"] is not None
     yield from check_asked(case, result)
-    yield from check_course(result)
-    yield from check_poses(result)
-    yield from check_ranking(result)
+    if found:
+        yield from check_course(result)
+        yield from check_poses(result)
+        yield from check_directions(result)
+        yield from check_summary(result)
+        yield from check_ranking(result)
+    else:
+        yield from check_reason(result)
+    yield from check_instrument(folder, case, result)
     try:
-        scene = own_scene(folder, case)
+        head = own_head(folder, case, [float(row["amount"]) for row in result["details"]["shrinkage"]])
     except (TubeplanError, OSError) as fault:
         told = shortened(str(fault))
         yield Check(
             name="labels", ok=False, found=told, expected="a CT that can be read", text="The labels cannot be made again."
         )
     else:
-        yield from check_start(result, scene)
-        yield from check_sweep(result, scene)
-    yield from check_files(folder, result)
+        yield from check_source(result, head)
+        yield from check_head(result, head)
+        yield from check_entry(result, head)
+        if found:
+            yield from check_start(result, head.planned)
+            yield from check_candidates(result, case, head)
+            yield from check_sweep(result, head.planned)
+            yield from check_distances(result, head.planned)
+    if found:
+        yield from check_files(folder, result)
+        yield from check_table(folder, result)
     page = folder / "report.html"
     if page.exists():
         yield from check_page(page.read_text(encoding="utf-8"), result)
@@ -166,8 +193,10 @@ def check_ranking(result: Mapping[str, Any]) -> Iterator[Check]:
         share[:, k] = (column - column.min()) / (column.max() - column.min())
         if k < LARGER_IS_BETTER:
             share[:, k] = 1.0 - share[:, k]
-    # Goals are written with 4 decimals.
-    off = float(np.abs(share - np.array([row["normalised"] for row in rows], float)).max())
+    # Goals are written with 4 decimals, normalised ones and scores with 6.
+    span = np.array([np.ptp(column[np.isfinite(column)]) if np.isfinite(column).any() else 1.0 for column in goals.T])
+    allowed = 1e-6 + 2.0 * WRITTEN_MM / np.maximum(span, 1e-3)
+    off = np.abs(share - np.array([row["normalised"] for row in rows], float))
     weights = np.array(list(details["weights"].values()), float)
     scores = np.array([row["normalised"] for row in rows], float) @ weights
     off_score = float(np.abs(scores - np.array([row["score"] for row in rows])).max())
@@ -176,26 +205,28 @@ def check_ranking(result: Mapping[str, Any]) -> Iterator[Check]:
     right = right and share[details["best"]["tissue"]["path"], 5] <= 1e-9
     yield Check(
         name="ranking",
-        ok=bool(off <= 2e-3 and off_score <= 1e-4 and right),
-        found=f"goals {off:.2g}, scores {off_score:.2g} off at most, best paths {'right' if right else 'wrong'}",
-        expected="goals within 0.002, scores within 0.0001, best paths right",
+        ok=bool((off <= allowed).all() and off_score <= 2e-6 and right),
+        found=f"goals {off.max():.2g}, scores {off_score:.2g} off at most, best paths {'right' if right else 'wrong'}",
+        expected="goals as their decimals allow, scores within 2e-06, best paths right",
         text="Normalised goals, weighted sums and the four best paths follow from the goals of the candidates.",
+    )
+    told = np.array([row["pareto"] for row in rows], bool)
+    wrong = [k for k in range(len(rows)) if beaten(share, k, allowed) is bool(told[k])]
+    yield Check(
+        name="ranking: Pareto set",
+        ok=not wrong,
+        found=f"{int(told.sum())} of {len(rows)}, wrong: {', '.join(map(str, wrong[:8])) or 'none'}",
+        expected="those that no other path beats",
+        text="In the Pareto set are the paths that no other beats in one goal without losing in another.",
     )
 
 
-def own_scene(folder: Path, case: Mapping[str, Any]) -> NasalScene:
-    """The labels of the case, made again from its CT and shrunk as planned."""
-    own = case["rigid"]
-
-    def place(name: str) -> Path:
-        path = Path(name)
-        return path if path.is_absolute() else folder.resolve() / path
-
-    volume = read_ct(place(case["input"]["ct"]), series=case["input"].get("series")).volume
-    masks = {name: read_mask(place(file), volume) for name, file in own.get("masks", {}).items()}
-    boxes = {name: np.reshape(box, (2, 3)) for name, box in own.get("boxes", {}).items()}
-    scene = propose_scene(volume, masks=masks, seeds=own.get("seeds", {}), boxes=boxes)
-    return shrink(scene, own["shrinkage_percent"] / 100.0, own["side"]).scene
+def beaten(share: FloatArray, row: int, allowed: FloatArray) -> bool | None:
+    """Whether another path is no worse in any goal and better in one; None where the goals' last decimals decide."""
+    gain = share[row] - share
+    gain[row] = -np.inf
+    close = (gain >= -allowed).all(axis=1) & ((gain != 0.0) & (np.abs(gain) <= allowed)).any(axis=1)
+    return None if close.any() else bool(((gain >= 0.0).all(axis=1) & (gain > 0.0).any(axis=1)).any())
 
 
 def check_start(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]:
@@ -213,15 +244,20 @@ def check_start(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]
 
 
 def check_sweep(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]:
-    """The swept instrument keeps its distance from every structure's voxels."""
-    asked, least = result["limits"]["clearance_min_mm"], np.inf
+    """The swept instrument keeps its distance from every structure's voxels, as far as stated."""
+    asked, nodes, roll = result["limits"]["clearance_min_mm"], corners(result), roll_of(result)
+    tool, turned = result["details"]["instrument"], result["details"].get("turn_clearance_mm")
+    least, turns, slack = np.inf, np.inf, 0.0
     for name, mask in scene.structures.items():
-        gap = sweep_gap(result, scene, mask)
+        boxes = Boxes.of(mask, scene.volume)
+        turn = turned_gap(boxes, nodes, roll, tool)
+        gap = min(swept_gap(boxes, nodes, roll, tool), turn)
+        turns, slack = min(turns, turn), max(slack, boxes.slack(gap))
         least = min(least, gap)
         yield Check(
             name=f"sweep: {name}",
             ok=gap > asked - SAME_MM and gap > 0.0,
-            found=f"{gap:.3f} mm" if np.isfinite(gap) else f"more than {NEAR_MM:g} mm",
+            found=f"{gap:.3f} mm",
             expected=f"more than {asked:g} mm",
             text=f"Endoscope and shaver, pushed and turned along the path, keep clear of the {name.replace('_', ' ')}.",
         )
@@ -230,10 +266,19 @@ def check_sweep(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]
     if np.isfinite(least):
         yield Check(
             name="metrics: clearance_min_mm",
-            ok=abs(stated - least) <= SLACK_MM,
+            # Places of the tip stand 0.2 mm apart, turns in steps of a degree: between them the distance may be a little less.
+            ok=least - slack - ROUNDING_MM <= stated <= least + BETWEEN_MM,
             found=f"{stated:.3f} mm",
-            expected=f"{least:.3f} mm within {SLACK_MM:g}",
+            expected=f"{least:.3f} mm, up to {slack:.3f} mm less or {BETWEEN_MM:g} mm more",
             text="The stated least distance is that of the voxels' points.",
+        )
+    if turned is not None or len(nodes) > 2:
+        yield Check(
+            name="turns: least distance",
+            ok=turned is not None and turns - slack - ROUNDING_MM <= turned <= turns + BETWEEN_MM,
+            found="none" if turned is None else f"{turned:.3f} mm",
+            expected=f"{turns:.3f} mm, up to {slack:.3f} mm less or {BETWEEN_MM:g} mm more",
+            text="The stated least distance in turns is that of the voxels' points.",
         )
     yield Check(
         name="certificate",
@@ -244,63 +289,129 @@ def check_sweep(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]
     )
 
 
-def sweep_gap(result: Mapping[str, Any], scene: NasalScene, mask: BoolArray) -> float:
-    """Least distance of the swept instrument to the points of a mask's voxels, mm; infinite beyond `NEAR_MM`."""
-    nodes, roll = corners(result), np.radians(result["details"]["nodes"][0]["beta_deg"])
-    tool, volume = result["details"]["instrument"], scene.volume
-    behind = float(np.linalg.norm(nodes - nodes[-1], axis=1).max()) + NEAR_MM
-    index = np.argwhere(mask)
-    centres = volume.to_lps(index)
-    margin = NEAR_MM + tool["offset_mm"] + tool["scope_diameter_mm"]
-    near = np.zeros(len(centres), dtype=bool)
+def roll_of(result: Mapping[str, Any]) -> float:
+    """The roll on all segments, radian."""
+    return float(np.radians(result["details"]["nodes"][0]["beta_deg"]))
+
+
+def near_the_way(mask: BoolArray, scene: NasalScene, result: Mapping[str, Any]) -> BoolArray:
+    """What of a structure the planner measures to: its voxels in the box of starts and lesion, widened."""
+    points = np.vstack([np.array(result["details"]["entry"]["points_mm"], float), [result["details"]["goal_mm"]]])
+    low, high = points.min(axis=0) - AROUND_MM, points.max(axis=0) + AROUND_MM
+    box = np.stack(np.meshgrid(*np.column_stack([low, high]), indexing="ij"), axis=-1).reshape(-1, 3)
+    index = scene.volume.to_index(box)
+    first = np.clip(np.floor(index.min(axis=0)).astype(int), 0, mask.shape)
+    last = np.clip(np.ceil(index.max(axis=0)).astype(int) + 1, first, mask.shape)
+    window = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
+    cut = np.zeros_like(mask)
+    cut[window] = mask[window]
+    return cut
+
+
+def check_distances(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]:
+    """Distances along the path, structure by structure, those of the best candidates, and the place of the least."""
+    details, path, tool = result["details"], result["path"], result["details"]["instrument"]
+    told = details["structure_distances_mm"]
+    boxes = {name: Boxes.of(near_the_way(mask, scene, result), scene.volume) for name, mask in scene.structures.items()}
+    boxes = {name: some for name, some in boxes.items() if len(some.middles)}
+    tips = np.array(path["points_mm"], float)
+    ends = np.cumsum(np.linalg.norm(np.diff(corners(result), axis=0), axis=1))
+    # The sample at a node belongs to the segment that begins there; the last one to the last segment.
+    segment = np.minimum(np.searchsorted(ends, np.array(path["s_mm"], float) + SAME_MM), len(ends) - 1)
+    ways = np.diff(corners(result), axis=0)
+    ways = (ways / np.linalg.norm(ways, axis=1)[:, None])[segment]
+    wrong, worst, whole = "", 0.0, set(told) == set(boxes)
+    for name in sorted(set(told) & set(boxes)):
+        some = boxes[name]
+        own = gaps_along(some, tips, ways, roll_of(result), tool)
+        stated = np.array([np.nan if value is None else value for value in told[name]], float)
+        off = own - stated
+        slack = np.array([some.slack(float(gap)) for gap in own])
+        over = np.nan_to_num(np.maximum(off - slack, -off - ROUNDING_MM), nan=np.inf)
+        if float(over.max()) > worst:
+            worst, wrong = float(over.max()), f"{name} at {path['s_mm'][int(over.argmax())]:.2f} mm"
+    yield Check(
+        name="distances: of every structure",
+        ok=whole and worst <= 0.0,
+        found=f"{worst:.3f} mm more than can be, {wrong}" if worst else f"{len(told)} structures as measured",
+        expected=f"{', '.join(sorted(boxes))}, each as the voxels' points say",
+        text="The distance of the instrument to every structure at every place of the tip is that of the voxels' points.",
+    )
+    least = np.min([[np.inf if value is None else value for value in values] for values in told.values()], axis=0)
+    off = float(np.abs(least - np.array(path["clearance_mm"], float)).max())
+    yield Check(
+        name="path: clearance",
+        ok=off <= WRITTEN_MM,
+        found=f"{off:.2g} mm off at most",
+        expected="the least of all structures' distances",
+        text="The clearance of the path is the distance to the nearest structure.",
+    )
+    yield from check_worst(result, boxes, told)
+    yield from check_best(result, scene, boxes)
+
+
+def check_best(result: Mapping[str, Any], scene: NasalScene, boxes: Mapping[str, Boxes]) -> Iterator[Check]:
+    """The goals of the best paths, measured again."""
+    details, tool = result["details"], result["details"]["instrument"]
+    wrong = []
+    for number in sorted({choice["path"] for choice in details["best"].values()}):
+        row = details["candidates"][number]
+        nodes, roll = np.array(row["nodes_mm"], float), float(np.radians(row["roll_deg"]))
+        for goal in ("brain", "orbit", "septum", "turbinate"):
+            some = [boxes[name] for name in boxes if name.startswith(goal)]
+            own = min((swept_gap(one, nodes, roll, tool) for one in some), default=np.inf)
+            stated = np.inf if row[f"{goal}_mm"] is None else row[f"{goal}_mm"]
+            slack = max((one.slack(own) for one in some), default=0.0) + 2.0 * WRITTEN_MM
+            if own != stated and not -2.0 * WRITTEN_MM - ROUNDING_MM <= own - stated <= slack:
+                wrong.append(f"{number} {goal} {stated:.3f} instead of {own:.3f} mm")
+        count, doubtful = channel(nodes, roll, tool, scene)
+        if not count - doubtful <= row["tissue_voxels"] <= count + doubtful:
+            wrong.append(f"{number} tissue {row['tissue_voxels']:g} instead of {count} voxels")
+    yield Check(
+        name="best paths: goals",
+        ok=not wrong,
+        found="; ".join(wrong[:4]) or "as measured",
+        expected="distances and tissue as the voxels say",
+        text="Distances and tissue of the best paths are those measured again.",
+    )
+
+
+def channel(nodes: FloatArray, roll: float, tool: Mapping[str, Any], scene: NasalScene) -> tuple[int, int]:
+    """Voxels of soft tissue and bone whose middles the instrument sweeps between start and goal, and how many lie on its rim."""
+    solid = np.argwhere(scene.tissue != Tissue.AIR)
+    middles = scene.volume.to_lps(solid)
+    low, high = nodes.min(axis=0) - 3.0 * REACH_MM, nodes.max(axis=0) + 3.0 * REACH_MM
+    middles = middles[((middles >= low) & (middles <= high)).all(axis=1)]
+    inside, rim = np.zeros(len(middles), bool), np.zeros(len(middles), bool)
     for a, b in pairwise(nodes):
         way = (b - a) / np.linalg.norm(b - a)
-        along = (centres - b) @ way
-        off = np.linalg.norm(centres - b - along[:, None] * way, axis=1)
-        near |= (off < margin) & (along < margin) & (along > -behind - margin)
-    index = index[near]
-    # Inner voxels are no nearer than their neighbours: only those on the surface matter.
-    padded = np.pad(mask, 1)
-    inner = np.ones(len(index), dtype=bool)
-    for step in np.vstack([np.eye(3, dtype=int), -np.eye(3, dtype=int)]):
-        inner &= padded[tuple((index + 1 + step).T)]
-    index = index[~inner]
-    if not len(index):
-        return float("inf")
-    share = np.linspace(-0.5, 0.5, GRID)
-    offsets = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
-    outer = offsets[(np.abs(offsets) == 0.5).any(axis=1)]
-    points = volume.to_lps((index[:, None] + outer[None]).reshape(-1, 3))
-    least = np.inf
-    for a, b in pairwise(nodes):
-        run = float(np.linalg.norm(b - a))
-        least = min(least, pose_gap(points, b, (b - a) / run, roll, run, tool))
-    for a, b, c in zip(nodes[:-2], nodes[1:-1], nodes[2:], strict=True):
-        first, second = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
-        angle = float(np.arccos(np.clip(first @ second, -1.0, 1.0)))
-        for part in np.linspace(0.0, 1.0, max(int(np.ceil(angle / TURN_STEP)), 1) + 1):
-            way = np.sin((1.0 - part) * angle) * first + np.sin(part * angle) * second
-            least = min(least, pose_gap(points, b, way / np.linalg.norm(way), roll, 0.0, tool))
-    return float(least) if least < NEAR_MM else float("inf")
+        behind = float(np.linalg.norm(b - nodes[0]))
+        local = Pose(b, way, roll, tool).local(middles)
+        # What the shafts pass in front of the start counts no more: they are cut there.
+        cut = {**tool, "shaver_length_mm": behind, "scope_length_mm": behind - tool["setback_mm"]}
+        held = apart(local, cut, 0.0)
+        inside |= held <= SAME_MM
+        rim |= np.abs(apart(local * (1.0 + 1e-6), cut, 0.0) - apart(local * (1.0 - 1e-6), cut, 0.0)) > 0.0
+        rim |= (held > 0.0) & (held <= RIM_MM)
+    return int(inside.sum()), int((rim & ~inside).sum()) + int((rim & inside).sum())
 
 
-def pose_gap(points: FloatArray, tip: FloatArray, way: FloatArray, roll: float, run: float, tool: Mapping[str, Any]) -> float:
-    """Least distance of points to the instrument with its tip there, drawn out backwards by `run` mm."""
-    level = np.array([0.0, 0.0, 1.0]) - way[2] * way
-    level /= np.linalg.norm(level)
-    up = np.cos(roll) * level + np.sin(roll) * np.cross(way, level)
-    offset = points - tip
-    along, rise, aside = offset @ way, offset @ up, offset @ np.cross(way, up)
-    r_s, r_e = 0.5 * tool["shaver_diameter_mm"], 0.5 * tool["scope_diameter_mm"]
-    # Shaver: a cylinder up to the centre of its ball, and the ball.
-    radial = np.hypot(rise, aside)
-    back = -(tool["shaver_length_mm"] + run)
-    beyond = np.maximum(np.maximum(back - along, along + r_s), 0.0)
-    cylinder = np.hypot(np.maximum(radial - r_s, 0.0), beyond)
-    ball = np.maximum(np.hypot(radial, along + r_s) - r_s, 0.0)
-    # Endoscope: a cylinder with flat ends.
-    radial = np.hypot(rise - tool["offset_mm"], aside)
-    front, back = -tool["setback_mm"], -(tool["setback_mm"] + tool["scope_length_mm"] + run)
-    beyond = np.maximum(np.maximum(back - along, along - front), 0.0)
-    scope = np.hypot(np.maximum(radial - r_e, 0.0), beyond)
-    return float(min(cylinder.min(), ball.min(), scope.min()))
+def check_table(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
+    """The columns of path.csv that result.json does not hold: tangents, and a torsion of 0."""
+    try:
+        rows = list(csv.reader((folder / "path.csv").read_text(encoding="utf-8").splitlines()))[1:]
+        told = np.array([[float(row[k]) for k in (4, 5, 6, 8)] for row in rows])
+    except (OSError, ValueError, IndexError):
+        return  # the check of the same numbers says so
+    points = np.array(result["path"]["points_mm"], float)
+    ahead = np.diff(points, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1)[:, None]
+    meant = np.column_stack([np.vstack([ahead, ahead[-1:]]), np.zeros(len(points))])
+    off = float(np.abs(told - meant).max()) if told.shape == meant.shape else np.inf
+    yield Check(
+        name="path.csv: tangents",
+        ok=off <= 1e-9,
+        found=f"{off:.2g} off at most",
+        expected="unit vectors to the next point, no torsion",
+        text="The tangents of path.csv point to the next place of the path.",
+    )

@@ -35,6 +35,27 @@ def test_distances_are_to_the_faces_of_the_voxels(scene: Obstacles) -> None:
     assert gaps.distance[0, 1] == pytest.approx(27.5, abs=2e-3)
 
 
+def test_the_distance_to_a_stepped_surface_is_that_to_all_of_its_cells() -> None:
+    volume = Volume(np.zeros((40, 40, 40), np.int16), np.eye(4))
+    index = np.stack(np.meshgrid(*3 * [np.arange(40)], indexing="ij"), axis=-1)
+    ball = np.linalg.norm(index - 20.0, axis=-1) < 9.3
+    obstacles = build_obstacles(volume, {"ball": ball})
+    rng = np.random.default_rng(3)
+    # Axes that pass the ball's middle at 11 to 14 mm, in random directions: shafts 1.5 mm thick leave 0.2 to 4 mm.
+    way = unit(rng.normal(size=(60, 3)))
+    aside = unit(np.cross(way, rng.normal(size=(60, 3))))
+    middle = 20.0 + rng.uniform(11.0, 14.0, (60, 1)) * aside
+    bodies = Bodies(middle - 15.0 * way, middle + 12.0 * way, np.full(60, 1.5), np.zeros(60, dtype=bool))
+    found = structure_gaps(obstacles, bodies).distance[:, 0]
+    for k in range(60):
+        one = bodies.take(np.full(len(obstacles.cells), k))
+        centre = one.gap(obstacles.cells)
+        # No point of a cell is farther from its centre than the cover: only these can hold the nearest place.
+        near = np.flatnonzero(centre <= centre.min() + obstacles.cover)
+        every, _ = rectangle_gap(one.take(near), obstacles.cells[near], obstacles.half[near])
+        assert found[k] == pytest.approx(every.min(), abs=1.5e-3)  # both settle within 1e-3
+
+
 def test_a_flat_end_stops_short_of_what_its_ball_would_touch(scene: Obstacles) -> None:
     # The front stands 0.3 mm before the slab, the axis along slices: a ball of radius 2 around it would be deep inside.
     body = Bodies(np.array([[5.0, 50.0, 10.0]]), np.array([[43.95, 50.0, 10.0]]), np.array([2.0]), np.array([False]))
