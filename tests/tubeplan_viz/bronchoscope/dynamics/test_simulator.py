@@ -5,6 +5,7 @@ from __future__ import annotations
 import builtins
 import math
 import sys
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -167,6 +168,21 @@ def test_no_part_leaves_a_curved_tube_whatever_is_ordered(bent: tuple[Simulator,
         assert step.body_clearance > -0.3
         axis = np.linalg.norm(step.body - step.body[-1], axis=1) >= simulator.robot.radius
         assert float(simulator.wall.exact.clearance(step.body[axis]).min()) > simulator.robot.radius - 0.3
+
+
+def test_a_motion_that_the_wall_halts_says_so_and_one_that_is_carried_out_does_not(bent: tuple[Simulator, list[Step]]) -> None:
+    simulator, steps = bent
+    for before, step in pairwise(steps):
+        assert step.command is not None
+        assert not step.halted
+        assert step.state.inserted == pytest.approx(before.state.inserted + step.command.push, abs=1e-9)
+    # Both sections bent by 90 degrees against each other span 26 mm across, in a tube of 5.6 mm.
+    jammed = order(proximal=(HALF, 0.0), distal=(HALF, math.pi), push=8.0)
+    step = simulator.move(steps[0], jammed)
+    assert step.halted
+    assert step.state.inserted < steps[0].state.inserted + 8.0 - 1.0
+    # It halts before the depth at which motions halt is passed, by the little that is seen between two questions to the wall.
+    assert step.body_clearance > -simulator.settings.halt_depth - 0.05
 
 
 def test_the_wall_pushes_inwards_where_the_robot_touches(bent: tuple[Simulator, list[Step]]) -> None:
