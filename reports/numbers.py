@@ -97,9 +97,10 @@ def typeset(text: str) -> str:
 
     Examples
     --------
-    >>> typeset("0.750 x 0.750 mm, from -3 HU")
-    '0.750 × 0.750 mm, from −3 HU'
+    >>> typeset("0.750 x 0.750 mm, from -3 HU, at -0.0 mm")
+    '0.750 × 0.750 mm, from −3 HU, at 0.0 mm'
     """
+    text = re.sub(r"(?<![\w.])-(?=0(\.0+)?(?![\d.]))", "", text)
     return re.sub(r"(?<=\d) x (?=\d)", " \u00d7 ", re.sub(r"(?<![\w.])-(?=\d)", MINUS, text))
 
 

@@ -25,6 +25,7 @@ VERDICTS = {
     "bend": ("flag", "No way found: bend", "still-flag clearance"),
     "collision": ("flag", "No way found: wall", "still-flag clearance"),
 }
+WORDS = {"ok": "All reached", "flagged": "Partly reached", "infeasible": "None reached"}
 UNPROVED = ("bend", "collision")
 NAMES_AT_ONCE = 5
 
@@ -78,13 +79,13 @@ def make_reach_page(document: Mapping[str, Any], surface: Surface) -> ReachPage:
     source = Source(document)
     counts, branches = document["counts"], document["branches"]
     unproved = sum(counts[name] for name in UNPROVED)
-    status = "flagged" if unproved else "infeasible" if not counts["reached"] else "ok"
+    status = "ok" if counts["reached"] == len(branches) else "flagged" if counts["reached"] else "infeasible"
     return ReachPage(
         title=f"Reach: case {document['case_id']}",
         case_id=str(document["case_id"]),
         status=status,
-        word="Reach map",
-        line=f"Bronchoscope robot, {document['method']} plans to every branch",
+        word=WORDS[status],
+        line=f"Reach map of the bronchoscope robot, {document['method']} plans to every branch",
         headline=phrase(_headline(counts["reached"], len(branches))),
         lead=phrase(_lead(document)),
         warnings=tuple(sentence(str(text)) for text in document["warnings"]),
