@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import webbrowser
 from pathlib import Path
 from typing import Annotated
@@ -13,11 +14,13 @@ from tubeplan_viz.interrupts import ending_like_ctrl_c
 from tubeplan_viz.recording import WebViewer, has_display, show_native
 from tubeplan_viz.result import RunFolderError, is_run, not_a_run
 
-MARKERS = ("result.json", "compare.json")
+MARKERS = ("result.json", "compare.json", "matrix.json", "reach.json")
+# Both ends of a recording that was written to its end, and how much of its file holds the last one.
+BEGIN, END, TAIL = b"RRF2", b"RRF2FOOT", 64
 
 
 def view(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder, or one that `tubeplan compare` made.")],
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder, or one of compare, matrix or reach.")],
     web: Annotated[bool, typer.Option("--web", help="The web viewer even where there is a display.")] = False,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Serve and print the address, open no browser.")] = False,
     port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port of 127.0.0.1; 0 for any free one.")] = 0,
@@ -49,7 +52,7 @@ def recording_of(folder: Path) -> Path:
     Raises
     ------
     CaseError, RunFolderError
-        If the folder is not there, is no run, or was made without a recording.
+        If the folder is not there, is no run, or its recording is missing or broken.
     """
     if not folder.is_dir():
         raise CaseError(f"{folder.name}: no such run folder; name the folder that `tubeplan run` or `tubeplan plan` made")
@@ -61,7 +64,24 @@ def recording_of(folder: Path) -> Path:
             f"{folder.resolve().name} holds no recording.rrd; it was made with --no-recording, "
             "make it again without, for instance `tubeplan run` on its case.toml"
         )
+    if not is_whole(recording):
+        raise RunFolderError(
+            f"{folder.resolve().name}: recording.rrd is cut off or no recording of this version of rerun; make the run again, "
+            "for instance with `tubeplan run` on its case.toml"
+        )
     return recording
+
+
+def is_whole(recording: Path) -> bool:
+    """Whether a file begins and ends as a recording does: the viewer itself shows nothing of a broken one and says nothing."""
+    try:
+        with recording.open("rb") as file:
+            begin = file.read(len(BEGIN))
+            file.seek(-min(TAIL, recording.stat().st_size), os.SEEK_END)
+            return begin == BEGIN and END in file.read()
+    except OSError as fault:
+        reason = (fault.strerror or "the system refuses").lower()
+        raise RunFolderError(f"{recording.name} cannot be read ({reason}); check its permissions") from None
 
 
 def tell(words: str, *, quiet: bool) -> None:

@@ -37,6 +37,15 @@ FILES = (
     "actuation.csv",
     "states.csv",
 )
+# Folders of other commands, by the file that tells them.
+OTHERS = {
+    "matrix.json": "tubeplan matrix",
+    "reach.json": "tubeplan reach",
+    "compare.json": "tubeplan compare",
+    "cohort.json": "tubeplan batch",
+    "export.json": "tubeplan export",
+    "segmentation.json": "tubeplan segment",
+}
 FULL = {
     errno.ENOSPC: "the disk is full",
     errno.EDQUOT: "the disk quota is used up",
@@ -261,10 +270,12 @@ def is_run(folder: Path, marker: str = RESULT) -> bool:
 
 
 def not_a_run(folder: Path) -> RunFolderError:
-    """What to say of a folder that no command of tubeplan made."""
-    return RunFolderError(
-        f"{folder.resolve().name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made"
-    )
+    """What to say of a folder that is no run: whose it is, where another command made it."""
+    name = folder.resolve().name
+    command = next((command for marker, command in OTHERS.items() if is_run(folder, marker)), None)
+    if command is not None:
+        return RunFolderError(f"{name} was made by `{command}` and is no run; name a folder that `tubeplan plan` or `run` made")
+    return RunFolderError(f"{name} is no tubeplan run (no result.json of one); name the folder that `tubeplan plan` made")
 
 
 def read_result(folder: Path) -> dict[str, Any]:

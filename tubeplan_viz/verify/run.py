@@ -12,7 +12,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.faults import shortened
-from tubeplan_viz.result import ResultError, RunFolderError, validate_result
+from tubeplan_viz.result import ResultError, RunFolderError, not_a_run, validate_result
 from tubeplan_viz.verify.bronchoscope import check_bronchoscope
 from tubeplan_viz.verify.claims import (
     check_features_and_centerline,
@@ -93,7 +93,7 @@ def _read_result(folder: Path) -> dict[str, Any]:
         text = (folder / "result.json").read_text(encoding="utf-8")
         document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_doubles)
     except OSError as fault:
-        raise RunFolderError(f"{name} has no result.json that can be read; name the folder that `tubeplan plan` made") from fault
+        raise not_a_run(folder) from fault
     except ValueError as fault:
         raise RunFolderError(f"{name}: result.json is no JSON ({fault}); the run is damaged, plan the case again") from fault
     if not isinstance(document, dict):

@@ -139,7 +139,7 @@ BAD: list[tuple[tuple[str, ...], str]] = [
     (("plan", "tube", "--mesh", "{tube}", "--mesh-unit", "mile", "--start", "E1", "--goal", "E2"), "mile"),
     (("plan", "tube", "--bogus"), "bogus"),
     (("run", "missing.toml"), "missing.toml: no such case file"),
-    (("verify", "missing"), "missing has no result.json that can be read"),
+    (("verify", "missing"), "missing is no tubeplan run .no result.json of one.; name the folder"),
     (("endpoints",), "name a mesh file or run folder"),
     (("inspect", "missing"), "missing: no such file or folder"),
     (("segment", "--anatomy", "airway"), "segmenting needs a CT; give --ct"),

@@ -34,11 +34,19 @@ def test_a_run_without_recording_is_refused(tubeplan: Callable, clean_run: Path)
     assert "holds no recording.rrd" in outcome.err
 
 
+@pytest.mark.parametrize("content", [b"", b"a text", b"RRF2 and so on, cut off", b"RRF1 and so on to RRF2FOOT"])
+def test_a_broken_recording_is_refused(content: bytes, tubeplan: Callable, clean_run: Path) -> None:
+    (clean_run / "recording.rrd").write_bytes(content)
+    outcome = tubeplan("view", clean_run, "--no-browser")
+    assert (outcome.status, outcome.err.count("\n")) == (2, 1)
+    assert "recording.rrd is cut off or no recording of this version of rerun" in outcome.err
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_address_is_printed_and_ctrl_c_ends_the_view_without_a_trace(
     number: signal.Signals, clean_run: Path, tmp_path: Path
 ) -> None:
-    (clean_run / "recording.rrd").write_bytes(b"RRF2 and so on")
+    (clean_run / "recording.rrd").write_bytes(b"RRF2 and so on to RRF2FOOT")
     private = tmp_path / "tmp"
     private.mkdir()
     child = subprocess.Popen(
@@ -55,7 +63,7 @@ def test_the_address_is_printed_and_ctrl_c_ends_the_view_without_a_trace(
         url = child.stdout.readline().strip()
         assert url.startswith("http://127.0.0.1:")
         with urllib.request.urlopen(url + "recording.rrd", timeout=10) as answer:
-            assert answer.read() == b"RRF2 and so on"
+            assert answer.read() == b"RRF2 and so on to RRF2FOOT"
         child.send_signal(number)
         out, err = child.communicate(timeout=20)
     finally:

@@ -240,6 +240,13 @@ def test_signals_leave_no_folder_that_looks_finished(tmp_path: Path, number: int
         assert left == []
 
 
+def test_a_folder_of_another_command_is_told_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "cohort").mkdir()
+    (tmp_path / "cohort" / "cohort.json").write_text('{"provenance": {"software": "tubeplan"}}')
+    with pytest.raises(RunFolderError, match="^cohort was made by `tubeplan batch` and is no run; name a folder"):
+        read_result(tmp_path / "cohort")
+
+
 def test_handlers_of_the_caller_are_given_back(tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGTERM)
     with RunFolder(tmp_path / "run"):
