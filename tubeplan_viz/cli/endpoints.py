@@ -32,6 +32,10 @@ def endpoints(
     """
     inputs = dict(given.get("input", {}))
     if source is not None:
+        if source.is_dir() and not (source / "mesh.ply").exists():
+            raise CaseError(
+                f"{source.resolve().name} holds no mesh.ply; name a mesh file or a run folder, or give a CT with --ct"
+            )
         inputs["mesh"] = source / "mesh.ply" if source.is_dir() else source
         inputs = run_anatomy(source) | inputs
     if not inputs.get("mesh") and not inputs.get("ct"):
