@@ -115,6 +115,23 @@ def test_a_tip_counts_as_caught_by_its_way_along_the_guide(wall: WallDistance) -
     assert all(node.accepted for node in planned(wall, moved(CAUGHT + 0.1)).nodes)
 
 
+def test_samples_are_drawn_in_the_whole_sphere_about_the_sub_goal_as_the_text_draws_them(wall: WallDistance) -> None:
+    plan = planned(wall, lambda before, made: replace(before, command=made.command, halted=True), samples_max=120, push_min=5.0)
+    offsets = np.array([place - plan.stages[number].goal for number, place in plan.samples])
+    radii = np.array([plan.stages[number].radius for number, _ in plan.samples])
+    distance = np.linalg.norm(offsets, axis=1)
+    drawn = distance > 0.0  # the first sample of a stage is its sub-goal
+    assert np.count_nonzero(~drawn) >= 2
+    share, up = distance[drawn] / radii[drawn], offsets[drawn, 2] / distance[drawn]
+    count = np.count_nonzero(drawn)
+    assert count > 80
+    assert share.max() <= 1.0
+    # Distance and elevation are even: means of 1/2 and, for |sin|, of 2 / pi, with deviations of 0.29 and 0.31; four of them.
+    assert share.mean() == pytest.approx(0.5, abs=4.0 * 0.29 / np.sqrt(count))
+    assert np.abs(up).mean() == pytest.approx(2.0 / np.pi, abs=4.0 * 0.31 / np.sqrt(count))
+    assert abs(offsets[drawn].mean(axis=0)).max() < 4.0 * radii.max() * 0.4 / np.sqrt(count)
+
+
 def test_a_disc_that_brushes_the_wall_may_pass_but_not_end_there(wall: WallDistance) -> None:
     free, cut = (planned(wall, lambda before, made: made, brush=gap, disc_margin=-0.05, samples_max=30) for gap in (0.01, -0.02))
     assert free.reached
