@@ -147,7 +147,11 @@ ROW = '[[cases]]\nid = "a"\ninput.mesh = "meshes/neck.ply"\n'
         ("m.toml", "defaults = 3\n" + ROW, r"m\.toml: defaults is 3, expected tables"),
         ("m.toml", "[defaults.limit]\n" + ROW, r"m\.toml: unknown table \[defaults\.limit\]; expected one of input, limits"),
         ("m.toml", "[[cases]]\ncase = 3\n", r"m\.toml, line 1: id is None, expected 1 to 100 letters"),
-        ("m.toml", '\n[[cases]]\nid = "a"\ncase = 3\n', r"m\.toml, line 2 \(a\): case is 3, expected the path"),
+        ("m.toml", '\n[[cases]]\nid = "a"\ncase = 3\n', r"m\.toml, line 2 \(a\): case: found 3, expected text"),
+        ("m.toml", '\n[[cases]]\nid = "a"\ncase = "\\u0000"\n', r"m\.toml, line 2 \(a\): case: found '\\x00', expected the path"),
+        ("m.toml", f'\n[[cases]]\nid = "a"\ncase = "{"é" * 200}"\n', "expected names of at most 255 bytes"),
+        ("m.csv", f"id,mesh\na,{'é' * 200}\n", "expected names of at most 255 bytes"),
+        ("m.csv", "id,mesh\na,~nobody-of-that-name/a.ply\n", "nobody here has that name"),
         ("m.toml", '[[cases]]\nid = "index.html"\n', r"the name of a file of the cohort"),
         ("m.toml", ROW + "planner = 3\n", r"line 1 \(a\): planner is 3, expected a table"),
         ("m.toml", ROW + 'planner.name = "drill"\n', r"line 1 \(a\): there is no planner 'drill', expected one of tube"),
@@ -177,6 +181,13 @@ def test_a_bad_manifest_is_one_sentence(cohort_files: Path, name: str, text: str
     with pytest.raises(ManifestError, match=told) as fault:
         read_manifest(cohort_files / name)
     assert "\n" not in str(fault.value)
+
+
+def test_of_very_many_faults_the_first_are_told(tmp_path: Path) -> None:
+    (tmp_path / "m.csv").write_text("id,mesh,start,goal\n" + "".join(f"c{k},gone.ply,E1,E2\n" for k in range(100)))
+    with pytest.raises(ManifestError, match=r"^m\.csv: 100 faults, nothing was run:\n  line 2 \(c0\): gone\.ply") as raised:
+        read_manifest(tmp_path / "m.csv")
+    assert str(raised.value).endswith("\n  and 70 more")
 
 
 def test_a_manifest_that_is_not_there_is_said(tmp_path: Path) -> None:

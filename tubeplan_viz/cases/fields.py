@@ -16,12 +16,14 @@ from segmentation.mesh_files import FARTHEST_MM
 from tubeplan_viz.tolerance import PRESETS
 
 Place = tuple[float, float, float] | str
+# No file system in use takes a longer name of a file or folder, bytes.
+LONGEST_NAME = 255
 
 
 def read_table(path: Path, *, what: str = "case file") -> dict[str, Any]:
     """The tables of a case file, or of another file of that kind, as they stand."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # some editors begin a file with a mark of its encoding
     except FileNotFoundError:
         raise CaseError(f"{path.name}: no such {what}") from None
     except (OSError, UnicodeDecodeError) as fault:
@@ -66,7 +68,14 @@ def located(value: Any, folder: Path | None, where: str) -> Path:
     given = text(value, where)
     if not given or "\0" in given:
         raise CaseError(f"{where}: found {brief(given)}, expected the path of a file or folder")
-    path = Path(given).expanduser()
+    if any(len(os.fsencode(name)) > LONGEST_NAME for name in Path(given).parts):
+        raise CaseError(f"{where}: found {brief(given)}, expected names of at most {LONGEST_NAME} bytes; shorten it")
+    try:
+        path = Path(given).expanduser()
+    except RuntimeError:  # of ~NAME where nobody has that name
+        raise CaseError(
+            f"{where}: found {brief(given)}, expected a path; nobody here has that name, give the whole path"
+        ) from None
     return path if folder is None or path.is_absolute() else Path(os.path.normpath(folder / path))
 
 

@@ -121,7 +121,7 @@ def naming_lines(path: Path, given: Mapping[str, Mapping[str, Any]] | None = Non
 def _place(message: str, path: Path, given: Mapping[str, Mapping[str, Any]]) -> tuple[int, str] | None:
     """Line of the key that a message is about, and the message without the file's name."""
     try:
-        lines = key_lines(path.read_text(encoding="utf-8"))
+        lines = key_lines(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError):
         return None
     told = message.removeprefix(path.name).removeprefix(":").strip()
@@ -149,7 +149,7 @@ def _place(message: str, path: Path, given: Mapping[str, Mapping[str, Any]]) -> 
 
 def _texts(path: Path) -> dict[tuple[str, ...], str]:
     """The text values of the file's tables."""
-    tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     return {
         (name, key): value
         for name, table in tables.items()

@@ -5,6 +5,7 @@ The readers of a case know keys of a table and not who gave the value; whatever 
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -62,6 +63,10 @@ class NamingCommand(TyperCommand):
             if told == str(fault):
                 raise
             raise type(fault)(told) from None
+        except OSError as fault:
+            if fault.errno != errno.ENAMETOOLONG:
+                raise
+            raise CaseError("a path is longer than the system takes; give a shorter one") from None
 
 
 def given_options(command: TyperCommand, ctx: Any) -> dict[str, str]:

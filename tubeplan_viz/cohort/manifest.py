@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError, TubeplanError
-from tubeplan_viz.cases.fields import read_table
+from tubeplan_viz.cases.fields import located, read_table
 from tubeplan_viz.cases.tube import Case as TubeCase
 from tubeplan_viz.cohort.columns import takes_seed
 from tubeplan_viz.cohort.errors import ManifestError
@@ -27,6 +27,8 @@ from tubeplan_viz.planners import PLANNERS, make_case
 # What a folder may be called on every system, and never one of the cohort's own files.
 ID = re.compile(r"\w(?:[\w.-]{0,98}\w)?")
 ID_RULE = "1 to 100 letters, digits, points, dashes and underscores, a letter or digit first and last"
+# So many faults of a manifest are told one by one.
+MOST_FAULTS = 30
 RESERVED = ("cohort.json", "cohort.csv", "index.html", "journal.jsonl")
 
 
@@ -118,7 +120,9 @@ def read_manifest(path: Path, *, rng_seed: int | None = None) -> Manifest:
     if len(faults) == 1:
         raise ManifestError(f"{path.name}, {faults[0]}")
     if faults:
-        raise ManifestError(f"{path.name}: {len(faults)} faults, nothing was run:\n  " + "\n  ".join(faults))
+        more = [f"and {len(faults) - MOST_FAULTS} more"] if len(faults) > MOST_FAULTS else []
+        told = "\n  ".join([*faults[:MOST_FAULTS], *more])
+        raise ManifestError(f"{path.name}: {len(faults)} faults, nothing was run:\n  {told}")
     return Manifest(name=path.name, sha256=hashlib.sha256(content).hexdigest(), cases=tuple(cases), rng_seed=rng_seed)
 
 
@@ -157,9 +161,7 @@ def _file_tables(value: Any, folder: Path) -> dict[str, Any]:
     """The tables of the case file that a row names, its relative paths made absolute; none without one."""
     if value is None:
         return {}
-    if not isinstance(value, str):
-        raise CaseError(f"case is {value!r}, expected the path of a case file")
-    path = folder / Path(value).expanduser()
+    path = located(value, folder, "case")
     return rebased(read_table(path), path.resolve().parent)
 
 

@@ -38,8 +38,10 @@ def rebased(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     """
 
     def located(value: Any) -> Any:
-        path = Path(value).expanduser() if isinstance(value, str) else None
-        return value if path is None else str(path if path.is_absolute() else Path(os.path.normpath(folder / path)))
+        if not isinstance(value, str):
+            return value
+        path = os.path.expanduser(value)
+        return path if os.path.isabs(path) or path.startswith("~") else os.path.normpath(folder / path)
 
     made = dict(tables)
     for table, keys in (("input", ("ct", "mesh")), ("rigid", ("lesion_mask", "catalogue"))):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from segmentation.errors import CaseError
+from segmentation.faults import shortened
 from tubeplan_viz.plan import Limits
 
 SHIPPED = "catalogue.toml"
@@ -61,7 +62,7 @@ class Instrument:
             raise CatalogueError("an instrument has an empty name, expected text that tells it from the others")
         for key, (low, high) in RANGES.items():
             value = getattr(self, key)
-            if not (math.isfinite(value) and low <= value <= high):
+            if not low <= value <= high:
                 raise CatalogueError(f"{self.name!r}: {key} is {value:g}, expected {low:g} to {high:g} mm")
 
     @property
@@ -122,13 +123,12 @@ def catalogue_table(path: Path | None, *, shipped: str) -> tuple[dict[str, Any],
 def read_text(path: Path) -> str:
     """The text of a catalogue file."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a mark of its encoding
     except FileNotFoundError:
         raise CatalogueError(f"{path.name}: no such catalogue file") from None
     except (OSError, UnicodeDecodeError) as fault:
-        raise CatalogueError(
-            f"{path.name}: cannot be read as text ({type(fault).__name__}); expected a TOML file of [[instrument]] tables"
-        ) from None
+        reason = str(getattr(fault, "strerror", None) or "no UTF-8 text").lower()
+        raise CatalogueError(f"{path.name}: cannot be read ({reason}); expected a catalogue file in TOML") from None
 
 
 def make_catalogue(table: Mapping[str, Any], *, name: str = "catalogue") -> tuple[Instrument, ...]:
@@ -152,6 +152,11 @@ def make_catalogue(table: Mapping[str, Any], *, name: str = "catalogue") -> tupl
     return made
 
 
+def finite_number(value: Any) -> bool:
+    """Whether a value of a catalogue is a number that can be computed with; a whole one of TOML may have any number of digits."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
 def make_instrument(entry: Any, where: str) -> Instrument:
     """One entry, checked."""
     if not isinstance(entry, Mapping):
@@ -166,11 +171,10 @@ def make_instrument(entry: Any, where: str) -> Instrument:
         if key not in entry:
             raise CatalogueError(f"{where}: the key {key} is missing; expected {', '.join(known[:4])}")
     for key, value in entry.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if key in RANGES and not number:
-            raise CatalogueError(f"{where}: {key} is {value!r}, expected a number in mm")
+        if key in RANGES and not finite_number(value):
+            raise CatalogueError(f"{where}: {key} is {shortened(repr(value), 80)}, expected a number in mm")
         if key not in RANGES and not isinstance(value, str):
-            raise CatalogueError(f"{where}: {key} is {value!r}, expected text")
+            raise CatalogueError(f"{where}: {key} is {shortened(repr(value), 80)}, expected text")
     try:
         return Instrument(**entry)
     except CatalogueError as fault:

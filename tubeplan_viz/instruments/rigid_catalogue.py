@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tubeplan_viz.instruments.catalogue import CatalogueError, catalogue_table
+from segmentation.faults import shortened
+from tubeplan_viz.instruments.catalogue import CatalogueError, catalogue_table, finite_number
 from tubeplan_viz.rigid import CoupledInstrument
 
 SHIPPED = "rigid.toml"
@@ -49,8 +50,8 @@ def _entries(rows: Any, kind: str, name: str) -> dict[str, dict[str, Any]]:
                 raise CatalogueError(f"{where}: unknown key {key!r}; expected one of {', '.join(known)}")
         for key in NUMBERS[kind]:
             value = row.get(key)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-                raise CatalogueError(f"{where}: {key} is {value!r}, expected a number")
+            if not finite_number(value):
+                raise CatalogueError(f"{where}: {key} is {shortened(repr(value), 80)}, expected a number")
         if row["name"] in made:
             raise CatalogueError(f"{where}: the name stands twice; expected each name once")
         made[row["name"]] = dict(row)

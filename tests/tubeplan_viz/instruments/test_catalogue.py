@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from tubeplan_viz.instruments import CatalogueError, Instrument, make_catalogue, read_catalogue
+from tubeplan_viz.instruments.rigid_catalogue import read_rigid_catalogue
 
 ENTRY = {"name": "scope", "kind": "ureteroscope", "outer_diameter_mm": 2.4, "bend_radius_min_mm": 8.0}
 
@@ -61,8 +62,27 @@ def test_a_file_that_cannot_be_read_is_named_without_its_folder(tmp_path: Path) 
     with pytest.raises(CatalogueError, match=r"^bad\.toml: not valid TOML"):
         read_catalogue(tmp_path / "bad.toml")
     (tmp_path / "raw.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(CatalogueError, match=r"^raw\.toml: cannot be read as text"):
+    with pytest.raises(CatalogueError, match=r"^raw\.toml: cannot be read \(no utf-8 text\); expected a catalogue"):
         read_catalogue(tmp_path / "raw.toml")
+
+
+@pytest.mark.parametrize("key", ["diameter_mm", "length_mm"])
+@pytest.mark.parametrize("value", ["1" + "0" * 400, "nan", "inf", "true", '"thick"', "[]"])
+def test_a_number_of_a_rigid_instrument_that_is_none_is_told(key: str, value: str, tmp_path: Path) -> None:
+    endoscope = "[[endoscope]]\nname = 'a'\ndiameter_mm = 4\nlength_mm = 175\nworking_distance_mm = 30\nview_angle_deg = 80\n"
+    rows = {"diameter_mm": "4", "length_mm": "130", key: value}
+    shaver = "[[shaver]]\nname = 'b'\n" + "".join(f"{name} = {cell}\n" for name, cell in rows.items())
+    (tmp_path / "mine.toml").write_text(endoscope + shaver)
+    with pytest.raises(CatalogueError, match=rf"^mine\.toml: shaver 1 \(b\): {key} is .*, expected a number$") as raised:
+        read_rigid_catalogue(tmp_path / "mine.toml")
+    assert len(str(raised.value)) < 200
+
+
+def test_a_mark_of_the_encoding_at_the_beginning_is_no_fault(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(
+        "[[instrument]]\nname='a'\nkind='b'\nouter_diameter_mm=1\nbend_radius_min_mm=5\n", encoding="utf-8-sig"
+    )
+    assert [one.name for one in read_catalogue(tmp_path / "mine.toml")] == ["a"]
 
 
 def test_no_harder_means_no_worse_in_all_four_values() -> None:
