@@ -17,7 +17,7 @@ from tubeplan_viz.cases.inputs import InputCase
 from tubeplan_viz.cases.tube import Case, case_table, make_case
 from tubeplan_viz.centerline import Endpoint
 from tubeplan_viz.instruments import Instrument, read_catalogue
-from tubeplan_viz.pipeline import Lumen, Notify, Stopwatch, case_end_names, find_end, grow_tree, load_lumen, silent
+from tubeplan_viz.pipeline import Lumen, Notify, Stopwatch, case_end_names, case_tree, find_end, load_lumen, silent
 from tubeplan_viz.result import write_whole
 
 LISTED = 30  # end points written down; an airway has hundreds
@@ -99,7 +99,7 @@ def initial_case(
     case = replace(case, input=given)
     lumen = load_lumen(case.input, near=case.planner.start, watch=watch)
     with watch.stage("end points"):
-        tree = grow_tree(lumen.surface, closed_ends=case.planner.closed_ends, settings=case.centerline)
+        tree = case_tree(case, lumen)
         tips, names = tree.endpoints, case_end_names(case, lumen, tree)
     asked = {name: getattr(case.planner, name) for name in ("start", "goal")}
     labels = {name: find_end(name, end, tips, names).label for name, end in asked.items() if isinstance(end, str)}

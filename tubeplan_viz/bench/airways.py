@@ -16,7 +16,7 @@ from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import PlannerSettings
 from tubeplan_viz.bronchoscope.target import Target
 from tubeplan_viz.bronchoscope.way import LEAK, make_simulator, plan_way
-from tubeplan_viz.pipeline import Notify, grow_tree
+from tubeplan_viz.pipeline import Notify, entered_tree
 from tubeplan_viz.reach import SAMPLES
 from tubeplan_viz.reach_map import BranchReach, Verdict, reach_map
 
@@ -37,7 +37,7 @@ def real_airway_rows(notify: Notify) -> list[Row]:
         assert file is not None
         with tempfile.TemporaryDirectory() as folder:
             surface = read_lumen(SHARED / file, anatomy, Path(folder))
-        tree = grow_tree(surface)
+        tree = entered_tree(surface, "airway")
         airway = airway_tree(tree.graph, tree.wall, tree.endpoints, frame=tree.surface.frame)
         entrance = airway.entrance_for(Robot())
         reach = reach_map(airway, entrance, Robot(), PlannerSettings(samples_max=SAMPLES))

@@ -17,7 +17,7 @@ from segmentation.mesh import Surface
 from segmentation.synthetic.urography import write_demo_series
 from tubeplan_viz.cases.inputs import InputCase
 from tubeplan_viz.centerline import Endpoint
-from tubeplan_viz.pipeline import Tree, grow_tree, load_lumen
+from tubeplan_viz.pipeline import Tree, entered_tree, load_lumen
 from tubeplan_viz.plan import Limits
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data"
@@ -58,7 +58,7 @@ def anatomies(names: tuple[str, ...] | None = None) -> Iterator[Anatomy]:
             continue
         with tempfile.TemporaryDirectory() as temporary:
             surface = read_lumen(None if source is None else SHARED / source, anatomy, Path(temporary))
-        tree = grow_tree(surface)
+        tree = entered_tree(surface, anatomy)
         start, goals = ways(tree.endpoints) if name.startswith("HuBMAP ureter") else from_root(tree.endpoints)
         yield Anatomy(name=name, tree=tree, start=start, goals=goals, limits=limits)
 

@@ -119,7 +119,7 @@ def measured(anatomy: str, slice_mm: float, *, noise: bool) -> Measured:
         volume = noisy(volume)
     region = segment_lumen(volume, SegmentationSettings(anatomy="urinary"))
     tree = grow_tree(lumen_surface(volume, region, SurfaceSettings()).surface)
-    lumen, found = measured_urinary(tree, MeasureCase(), volume, None)
+    lumen, found = measured_urinary(tree, MeasureCase(), volume)
     if lumen is None or found is None:
         raise ValueError(f"the {anatomy} kidney has no branches")
     return Measured(lumen=lumen, measures=found, truth=truth)

@@ -5,10 +5,12 @@ right to the left main bronchus, and front is their cross product.
 
 1. The trachea ends at the first division of which two parts lead on for 15 mm or more.
 2. Main bronchi: in LPS the one more to the left is the left one. On a mesh the right one is the wider, the shorter and the
-   one that turns less away from the trachea: each of the three votes.
+   one that turns less away from the trachea: each of the three votes, where the two differ. Without a majority the sides are
+   not known: both are main bronchi, with a letter, and nothing below them is named either.
 3. Right upper lobe: the child of the right main bronchus that leads most upwards and outwards; of two children the other is
    the bronchus intermedius. Of its children the foremost is the middle lobe, the other the right lower lobe.
-4. Left upper lobe: the child of the left main bronchus that leads most upwards and to the front; the other is the lower lobe.
+4. Left upper lobe: the child of the left main bronchus that leads most upwards and to the front; the other is the lower lobe. A
+   left main bronchus shorter than 1.5 of its own widths (an adult's has about four) is cut by the image's border: no lobes.
 5. Segments: of the right upper lobe the uppermost is apical, of the others the foremost anterior, the hindmost posterior; of
    the left upper lobe the upper child is the upper division, the other the lingula; of a lower lobe the hindmost child
    is the superior segment, the other the basal trunk.
@@ -30,6 +32,10 @@ from tubeplan_viz.centerline import Branch, Centerline
 
 LEADS_ON = 15.0  # mm that a part of the first division must lead on for
 CLEAR = 0.4  # difference of cosines that leaves no doubt
+LEFT_MAIN_WIDTHS = 1.5  # least length of a left main bronchus in its own widths, for its lobes to be told
+UNDECIDED = 0.5  # confidence of a choice between equals
+# Main bronchi cast a vote on their sides where their widths or lengths differ by this share, their turns by this angle, rad.
+UNLIKE, UNLIKE_TURN = 0.1, np.radians(5.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,9 +118,12 @@ def name_branches(branches: Sequence[Branch], labels: Mapping[int, str], *, fram
     mains = sorted(children[division], key=lambda k: -reach(branches, children, k))[:2]
     if len(mains) == 2:
         (left, right), certainty, axes = sides(branches, children, division, mains, frame)
-        found[right], found[left] = ("right main bronchus", certainty), ("left main bronchus", certainty)
-        name_right(branches, children, right, axes, found)
-        name_left(branches, children, left, axes, found)
+        if certainty > UNDECIDED:
+            found[right], found[left] = ("right main bronchus", certainty), ("left main bronchus", certainty)
+            name_right(branches, children, right, axes, found)
+            name_left(branches, children, left, axes, found)
+        else:
+            found[mains[0]], found[mains[1]] = ("main bronchus a", 1.0), ("main bronchus b", 1.0)
     else:
         axes = body_axes(direction(branches[0]), None, frame)
     name_rest(branches, children, axes, found)
@@ -157,13 +166,16 @@ def sides(
         lead = float((direction(branches[one]) - direction(branches[two]))[0])
         left, right = (one, two) if lead > 0.0 else (two, one)
         return (left, right), share(abs(lead)), body_axes(direction(branches[division]), None, frame)
-    # The right one has the less of each.
-    figures = [(-branches[k].mean_radius, main_length(branches, children, k), branches[k].angle) for k in (one, two)]
-    votes = sum(1 if a < b else -1 for a, b in zip(*figures, strict=True))
-    right, left = (one, two) if votes > 0 else (two, one)
-    down = direction(branches[division])
-    axes = body_axes(down, direction(branches[left]) - direction(branches[right]), frame)
-    return (left, right), 0.9 if abs(votes) == 3 else 0.6, axes
+    # The right one is the wider, the shorter, and turns less: a positive vote is for the first.
+    widths = [branches[k].mean_radius for k in mains]
+    lengths = [main_length(branches, children, k) for k in mains]
+    leads = (widths[0] - widths[1], lengths[1] - lengths[0], branches[two].angle - branches[one].angle)
+    needed = (UNLIKE * max(widths), UNLIKE * max(lengths), UNLIKE_TURN)
+    votes = [int(np.sign(lead)) for lead, least in zip(leads, needed, strict=True) if abs(lead) >= least]
+    right, left = (one, two) if sum(votes) > 0 else (two, one)
+    axes = body_axes(direction(branches[division]), direction(branches[left]) - direction(branches[right]), frame)
+    certainty = UNDECIDED if sum(votes) == 0 else 0.9 if abs(sum(votes)) > 1 else 0.6
+    return (left, right), certainty, axes
 
 
 def main_length(branches: Sequence[Branch], children: list[list[int]], number: int) -> float:
@@ -237,7 +249,8 @@ def name_left(
     branches: Sequence[Branch], children: list[list[int]], main: int, axes: Axes, found: dict[int, tuple[str, float]]
 ) -> None:
     """Left lobes and segments."""
-    if len(children[main]) < 2:
+    trunk = branches[main]
+    if len(children[main]) < 2 or trunk.length < LEFT_MAIN_WIDTHS * 2.0 * trunk.mean_radius:
         return
     order, lead = ranked(branches, children[main], axes.up - 0.5 * axes.back)
     sure = found[main][1] * share(lead)

@@ -14,7 +14,7 @@ from segmentation.errors import CaseError
 from tubeplan_viz.cases.tube import make_case
 from tubeplan_viz.cli.options import LUMEN, Json, Quiet, some_case_options
 from tubeplan_viz.cli.show import progress
-from tubeplan_viz.pipeline import Stopwatch, case_end_names, endpoint_details, grow_tree, load_lumen
+from tubeplan_viz.pipeline import Stopwatch, case_end_names, case_tree, endpoint_details, load_lumen
 from tubeplan_viz.result import is_run, read_result
 
 
@@ -45,7 +45,7 @@ def endpoints(
         watch = Stopwatch(notify)
         lumen = load_lumen(case.input, watch=watch)
         with watch.stage("end points"):
-            tree = grow_tree(lumen.surface, closed_ends=case.planner.closed_ends, settings=case.centerline)
+            tree = case_tree(case, lumen)
             names = case_end_names(case, lumen, tree)
     tips = [endpoint_details(tip, names.get(tip.label)) for tip in tree.endpoints]
     if json:
@@ -68,6 +68,8 @@ def endpoints(
             *([tip["name"]] if names else []),
         )
     Console(width=None if Console().is_terminal else 120).print(table)
+    if case.input.anatomy == "airway" and len(tips) < 3:
+        typer.echo("the airway does not divide in this image: no carina and no bronchi to name")
 
 
 def run_anatomy(source: Path) -> dict[str, str]:

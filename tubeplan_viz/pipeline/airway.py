@@ -12,8 +12,9 @@ from tubeplan_viz.bronchoscope.airway import AirwayTree, Entrance, airway_tree
 from tubeplan_viz.bronchoscope.target import Target, branch_target, lesion_target, point_target
 from tubeplan_viz.cases.bronchoscope import BronchoscopeCase
 from tubeplan_viz.pipeline.lumen import Lumen, load_lumen
+from tubeplan_viz.pipeline.parts import entered_tree
 from tubeplan_viz.pipeline.progress import Stopwatch
-from tubeplan_viz.pipeline.tree import Tree, grow_tree
+from tubeplan_viz.pipeline.tree import Tree
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,7 +36,7 @@ def load_airway(case: BronchoscopeCase, watch: Stopwatch) -> Airway:
     """Wall, named tree and entrance of a case."""
     lumen = load_lumen(case.input, watch=watch)
     with watch.stage("centerline"):
-        tree = grow_tree(lumen.surface)
+        tree = entered_tree(lumen.surface, "airway")
         airway = airway_tree(tree.graph, tree.wall, tree.endpoints, root=case.start, frame=tree.surface.frame)
         entrance = airway.entrance_for(case.robot)
     return Airway(lumen=lumen, tree=tree, airway=airway, entrance=entrance)

@@ -14,8 +14,8 @@ from tubeplan_viz.cases.tube import Case
 from tubeplan_viz.centerline import Endpoint, voronoi_graph
 from tubeplan_viz.geometry import WallDistance
 from tubeplan_viz.pipeline.lumen import Lumen
-from tubeplan_viz.pipeline.parts import end_names, lumen_parts
-from tubeplan_viz.pipeline.tree import Tree, grow_tree
+from tubeplan_viz.pipeline.parts import end_names, entered_tree, lumen_parts
+from tubeplan_viz.pipeline.tree import Tree
 from tubeplan_viz.tube import TubeProblem, pose_problem
 
 
@@ -82,7 +82,7 @@ def listing(endpoints: Sequence[Endpoint], names: Mapping[str, str]) -> str:
 def pose_case(case: Case, lumen: Lumen) -> tuple[TubeProblem, Tree]:
     """Start and goal on the wall made ready, and the centerline between them."""
     settings = case.tube_settings
-    tree = grow_tree(lumen.surface, closed_ends=settings.closed_ends, settings=settings.centerline)
+    tree = case_tree(case, lumen)
     asked = {name: getattr(case.planner, name) for name in ("start", "goal")}
     by_name = any(isinstance(place, str) and not is_label(place) for place in asked.values())
     names = case_end_names(case, lumen, tree) if by_name else {}
@@ -96,6 +96,12 @@ def pose_case(case: Case, lumen: Lumen) -> tuple[TubeProblem, Tree]:
     return problem, tree
 
 
+def case_tree(case: Case, lumen: Lumen) -> Tree:
+    """The lumen of a case made ready for planning, its end points labelled as its anatomy is entered."""
+    settings = case.tube_settings
+    return entered_tree(lumen.surface, case.input.anatomy, closed_ends=settings.closed_ends, settings=settings.centerline)
+
+
 def case_end_names(case: Case, lumen: Lumen, tree: Tree) -> dict[str, str]:
     """For the label of each end point of a case the part in which it lies; empty where no parts are known."""
-    return end_names(lumen_parts(case.input.anatomy, tree, lumen.volume, case.centerline), tree)
+    return end_names(lumen_parts(case.input.anatomy, tree, lumen.volume), tree)

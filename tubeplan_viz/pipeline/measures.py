@@ -15,7 +15,6 @@ from segmentation.stone import Stone, grow_stone, masked_stone
 from segmentation.volume import Volume
 from segmentation.volume_files import read_volume_file
 from tubeplan_viz.cases.measures import MeasureCase
-from tubeplan_viz.centerline import CenterlineSettings
 from tubeplan_viz.measures import (
     DEFINITIONS,
     Drawing,
@@ -34,8 +33,8 @@ from tubeplan_viz.measures import (
     structure_measures,
     urinary_measures,
 )
-from tubeplan_viz.pipeline.parts import airway_lumen, airway_parts, urinary_lumen
-from tubeplan_viz.pipeline.tree import Branching, Tree
+from tubeplan_viz.pipeline.parts import airway_lumen, airway_parts, lumen_parts, urinary_lumen
+from tubeplan_viz.pipeline.tree import Tree
 
 URINARY = ("infundibulopelvic_angle_deg", "infundibular_length_mm", "infundibular_width_mm", "ureter_diameter_mean_mm")
 AIRWAY = ("trachea_diameter_mm", "carinal_angle_deg", "branch_diameter_mm", "branch_angle_deg")
@@ -56,12 +55,10 @@ def measure_run(
     *,
     anatomy: str | None,
     tree: Tree,
-    grown: Branching,
     volume: Volume | None,
     path: Mapping[str, FloatArray],
     curvature_max: float,
     sharpest_at: float,
-    settings: CenterlineSettings | None = None,
 ) -> Measured:
     """Measure a planned case.
 
@@ -72,8 +69,6 @@ def measure_run(
         What the lumen is, which says what can be measured in it.
     tree : Tree
         The lumen with its end points.
-    grown : Branching
-        Centerlines that are there already: used where they have the root that a measure asks for.
     volume : Volume or None
         The CT, which stones are grown in.
     path : mapping
@@ -92,12 +87,12 @@ def measure_run(
     lumen, urinary, drawing = None, None, None
     parts: tuple[Part, ...] = ()
     if anatomy == "urinary":
-        lumen, urinary = measured_urinary(tree, case, volume, settings, grown)
+        lumen, urinary = measured_urinary(tree, case, volume)
         measures += lacking("the lumen has no branches", *URINARY) if urinary is None else urinary.measures
         if urinary is not None:
             drawing, parts = urinary.drawing, urinary.parts
     elif anatomy == "airway":
-        found, drawing, parts = measured_airway(tree, volume, settings, grown)
+        found, drawing, parts = measured_airway(tree, volume)
         measures += lacking("the lumen has no branches", *AIRWAY) if drawing is None else found
     inputs: list[tuple[str, str]] = []
     stones = read_stones(case, volume, inputs)
@@ -127,27 +122,19 @@ def details_of(measures: list[Measure], scores: list[dict[str, Any]], drawing: D
     }
 
 
-def measured_urinary(
-    tree: Tree,
-    case: MeasureCase,
-    volume: Volume | None,
-    settings: CenterlineSettings | None,
-    grown: Branching | None = None,
-) -> tuple[Lumen | None, UrinaryMeasures | None]:
+def measured_urinary(tree: Tree, case: MeasureCase, volume: Volume | None) -> tuple[Lumen | None, UrinaryMeasures | None]:
     """The collecting system measured from the ureter's end; None for a lumen with fewer than three tips."""
     if len(tree.endpoints) < 3:
         return None, None
-    lumen = urinary_lumen(tree, volume, settings, grown)
+    lumen = urinary_lumen(tree, volume)
     return lumen, urinary_measures(lumen, UrinarySettings(ureter_level=case.ureter_level_mm))
 
 
-def measured_airway(
-    tree: Tree, volume: Volume | None, settings: CenterlineSettings | None, grown: Branching | None = None
-) -> tuple[tuple[Measure, ...], Drawing | None, tuple[Part, ...]]:
-    """The airway measured from its first end point, the trachea's; no drawing for a lumen without a branching."""
+def measured_airway(tree: Tree, volume: Volume | None) -> tuple[tuple[Measure, ...], Drawing | None, tuple[Part, ...]]:
+    """The airway measured from its first end point, the trachea's; no measures and no drawing without a branching."""
     if len(tree.endpoints) < 3:
-        return (), None, ()
-    lumen = airway_lumen(tree, volume, settings, grown)
+        return (), None, lumen_parts("airway", tree, volume)
+    lumen = airway_lumen(tree, volume)
     return *airway_measures(lumen), airway_parts(lumen)
 
 

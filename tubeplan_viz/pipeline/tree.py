@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,12 +25,25 @@ from tubeplan_viz.geometry import WallDistance
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tree:
-    """The lumen made ready for planning: flat ends found, Voronoi graph, end points."""
+    """The lumen made ready for planning: flat ends found, Voronoi graph, end points.
+
+    Attributes
+    ----------
+    surface : Surface
+    wall : WallDistance
+    graph : VoronoiGraph
+    endpoints : tuple of Endpoint
+    settings : CenterlineSettings
+        Of the end points and of all centerlines in it.
+    """
 
     surface: Surface
     wall: WallDistance
     graph: VoronoiGraph
     endpoints: tuple[Endpoint, ...]
+    settings: CenterlineSettings
+    # Walk, names and measures ask for the same centerlines, by label of their root; a changed tree begins anew.
+    grown: dict[str, Branching] = field(default_factory=dict, init=False, repr=False)
 
 
 def grow_tree(surface: Surface, *, closed_ends: bool = False, settings: CenterlineSettings | None = None) -> Tree:
@@ -48,14 +61,22 @@ def grow_tree(surface: Surface, *, closed_ends: bool = False, settings: Centerli
 
 def tips_of(surface: Surface, *, closed_ends: bool, settings: CenterlineSettings | None) -> Tree:
     """Wall, graph and end points of a surface as it is."""
+    settings = settings or CenterlineSettings()
     wall = WallDistance(surface, closed_ends=closed_ends)
     graph = voronoi_graph(surface, wall)
-    return Tree(surface=surface, wall=wall, graph=graph, endpoints=find_endpoints(graph, wall, settings=settings))
+    tips = find_endpoints(graph, wall, settings=settings)
+    return Tree(surface=surface, wall=wall, graph=graph, endpoints=tips, settings=settings)
+
+
+def first_end(tree: Tree, label: str) -> Tree:
+    """The same tree with another end point as E1; the others keep their order."""
+    tips = sorted(tree.endpoints, key=lambda tip: tip.label != label)
+    return replace(tree, endpoints=tuple(replace(tip, label=f"E{number + 1}") for number, tip in enumerate(tips)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Branching:
-    """Centerlines from one place of the lumen to its end points, grown once for all that ask for this root.
+    """Centerlines from one place of the lumen to its end points.
 
     Attributes
     ----------
@@ -70,22 +91,19 @@ class Branching:
     labels: tuple[str, ...]
     branches: CenterlineTree
 
-    @property
-    def joins_ends(self) -> bool:
-        """Whether it leads from an end point to the others and nowhere else."""
-        return self.root is not None and GOAL not in self.labels
-
 
 GOAL = "goal"
 # Nearer to an end point than this a place is the end point itself, mm.
 SAME = 1e-6
 
 
-def branches_from_end(tree: Tree, root: str, *, settings: CenterlineSettings | None = None) -> Branching:
-    """Centerlines from one end point to all others."""
-    start = next(tip.point for tip in tree.endpoints if tip.label == root)
-    others = [tip for tip in tree.endpoints if tip.label != root]
-    return grown_from(tree, start, root, [tip.label for tip in others], [tip.point for tip in others], settings)
+def branches_from_end(tree: Tree, root: str) -> Branching:
+    """Centerlines from one end point to all others, grown once for all that ask."""
+    if root not in tree.grown:
+        start = next(tip.point for tip in tree.endpoints if tip.label == root)
+        others = [tip for tip in tree.endpoints if tip.label != root]
+        tree.grown[root] = grown_from(tree, start, root, [tip.label for tip in others], [tip.point for tip in others])
+    return tree.grown[root]
 
 
 def end_label(tree: Tree, place: FloatArray) -> str | None:
@@ -93,32 +111,25 @@ def end_label(tree: Tree, place: FloatArray) -> str | None:
     return next((tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - place) <= SAME), None)
 
 
-def branches_on_way(
-    tree: Tree, start: FloatArray, goal: FloatArray, *, settings: CenterlineSettings | None = None
-) -> tuple[Branching, int]:
+def branches_on_way(tree: Tree, start: FloatArray, goal: FloatArray) -> tuple[Branching, int]:
     """Centerlines from a path's start to every other end of the lumen and to its goal; the goal's number among the targets."""
-    root = end_label(tree, start)
+    root, end = end_label(tree, start), end_label(tree, goal)
+    if root is not None and end is not None and root != end:
+        found = branches_from_end(tree, root)
+        return found, found.labels.index(end)
     # A start beside an end point, but not on it, stands for that end.
     near = {tip.label for tip in tree.endpoints if np.linalg.norm(tip.point - start) <= tip.radius}
     others = [tip for tip in tree.endpoints if tip.label not in ({root} if root is not None else near)]
     labels, points = [tip.label for tip in others], [tip.point for tip in others]
-    at_goal = next((k for k, point in enumerate(points) if np.linalg.norm(point - goal) <= SAME), None)
-    if at_goal is None:
+    target = end if end is not None and end in labels else GOAL
+    if target == GOAL:
         labels, points = [*labels, GOAL], [*points, goal]
-    found = grown_from(tree, start, root, labels, points, settings)
-    return found, len(points) - 1 if at_goal is None else at_goal
+    return grown_from(tree, start, root, labels, points), labels.index(target)
 
 
-def grown_from(
-    tree: Tree,
-    start: FloatArray,
-    root: str | None,
-    labels: Sequence[str],
-    points: Sequence[FloatArray],
-    settings: CenterlineSettings | None,
-) -> Branching:
+def grown_from(tree: Tree, start: FloatArray, root: str | None, labels: Sequence[str], points: Sequence[FloatArray]) -> Branching:
     """The centerlines themselves."""
-    branches = centerline_tree(tree.graph, tree.wall, start, np.array(points), settings)
+    branches = centerline_tree(tree.graph, tree.wall, start, np.array(points), tree.settings)
     return Branching(root=root, labels=tuple(labels), branches=branches)
 
 

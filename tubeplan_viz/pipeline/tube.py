@@ -83,14 +83,13 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
             written = write_ply(problem.surface, folder.path("mesh.ply"))
             details = case_details(case, lumen, problem, tree, written, warnings)
             with watch.stage("walk"):
-                grown, at_goal = branches_on_way(tree, problem.start, problem.goal, settings=case.centerline)
+                grown, at_goal = branches_on_way(tree, problem.start, problem.goal)
                 walk = walk_details(plan.profile, grown.branches, at_goal, problem.surface.frame)
             with watch.stage("measures"):
                 measured = measure_run(
                     case.measures,
                     anatomy=case.input.anatomy,
                     tree=tree,
-                    grown=grown,
                     volume=lumen.volume,
                     path={
                         "s_mm": plan.profile.arc_length,
@@ -99,7 +98,6 @@ def run_tube(case: Case, target: Path, options: RunOptions) -> dict[str, Any]:
                     },
                     curvature_max=plan.metrics["curvature_max_per_mm"],
                     sharpest_at=sharpest_place(plan.curve),
-                    settings=case.centerline,
                 )
             details["measures"] = measured.details
             names = end_names(measured.parts, tree)

@@ -11,7 +11,7 @@ from tubeplan_viz.pipeline.measures import measured_airway
 
 def test_diameters_lengths_and_turns_are_those_the_airway_is_made_with() -> None:
     tree = grow_tree(weibel_airway(generations=2, voxel=1.0).surface)
-    measures, *_ = measured_airway(tree, None, None)
+    measures, *_ = measured_airway(tree, None)
     found = {(m.of, m.key): m.value for m in measures}
     # Marching cubes at 1 mm cut a circle of radius 6 by (1 / 6)^2 / 8 of its radius, 0.02 mm.
     assert found["", "trachea_diameter_mm"] == pytest.approx(18.0, abs=0.1)

@@ -15,7 +15,7 @@ from tubeplan_viz.centerline import Branch, Centerline, CenterlineTree
 from tubeplan_viz.measures import collecting_system, path_parts, urinary_parts
 from tubeplan_viz.measures.collecting_system import ureter_end
 from tubeplan_viz.measures.pelvis import division, widest_place
-from tubeplan_viz.pipeline import grow_tree, load_lumen
+from tubeplan_viz.pipeline import entered_tree, load_lumen
 from tubeplan_viz.pipeline.parts import urinary_lumen
 
 DATA = Path(__file__).parents[4] / "shared" / "data" / "hubmap_ureter_female"
@@ -68,10 +68,13 @@ def test_the_ureter_ends_at_its_narrowest_or_where_it_divides_before_it_widens()
 @needs_data
 @pytest.mark.parametrize("side", ["L", "R"])
 def test_parts_are_those_that_the_reference_organ_names(side: str) -> None:
-    tree = grow_tree(load_lumen(InputCase(mesh=DATA / f"fused_F_{side}_mm.stl")).surface)
-    lumen = urinary_lumen(tree, None, None)
+    surface = load_lumen(InputCase(mesh=DATA / f"fused_F_{side}_mm.stl")).surface
+    tree = entered_tree(surface, "urinary")
+    lumen = urinary_lumen(tree, None)
     system = collecting_system(lumen)
     parts = urinary_parts(lumen, system)
+    # E1 is the ureter's lower end: y is up.
+    assert tree.endpoints[0].point[1] == min(tip.point[1] for tip in tree.endpoints)
     named, owner = reference(side)
     majors: dict[str, set[str]] = {}
     for target, way in system.ways.items():

@@ -1,8 +1,9 @@
-"""Centerlines are grown once per root: what the walk grew serves the measures, and changes none of them."""
+"""Centerlines are grown once per root: what one grew serves the others, and changes none of them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from tubeplan_viz.measures import Measure, ureter_root
 from tubeplan_viz.pipeline import Tree, grow_tree
 from tubeplan_viz.pipeline import tree as trees
 from tubeplan_viz.pipeline.measures import measured_airway
-from tubeplan_viz.pipeline.tree import GOAL, branches_from_end, branches_on_way
+from tubeplan_viz.pipeline.parts import end_names, lumen_parts
+from tubeplan_viz.pipeline.tree import GOAL, branches_from_end, branches_on_way, first_end
 
 
 @pytest.fixture(scope="module")
@@ -39,28 +41,41 @@ def values(measures: Sequence[Measure]) -> dict[tuple[str, str], float | None]:
     return {(one.of, one.key): one.value for one in measures}
 
 
-def test_measures_take_the_tree_that_the_walk_grew_and_stay_the_same(airway: Tree, roots: list[np.ndarray]) -> None:
-    trachea, goal = airway.endpoints[0], airway.endpoints[2]
-    grown, number = branches_on_way(airway, trachea.point, goal.point)
+def test_walk_names_and_measures_share_one_tree_and_the_measures_stay_the_same(airway: Tree, roots: list[np.ndarray]) -> None:
+    tree = replace(airway)
+    trachea, goal = tree.endpoints[0], tree.endpoints[2]
+    assert end_names(lumen_parts("airway", tree, None), tree)[trachea.label] == "trachea"
+    grown, number = branches_on_way(tree, trachea.point, goal.point)
     assert grown.labels[number] == goal.label
-    shared = measured_airway(airway, None, None, grown)[0]
+    shared = measured_airway(tree, None)[0]
     assert len(roots) == 1
-    own = measured_airway(airway, None, None)[0]
+    own = measured_airway(replace(airway), None)[0]
     assert len(roots) == 2
     assert values(shared) == values(own)
 
 
 def test_a_goal_away_from_the_ends_has_a_branch_that_the_measures_do_not_see(airway: Tree, roots: list[np.ndarray]) -> None:
-    trachea = airway.endpoints[0]
-    line = branches_from_end(airway, trachea.label).branches.branches[0].line
-    grown, number = branches_on_way(airway, trachea.point, line.points[len(line.points) // 2])
+    tree = replace(airway)
+    trachea = tree.endpoints[0]
+    line = branches_from_end(tree, trachea.label).branches.branches[0].line
+    grown, number = branches_on_way(tree, trachea.point, line.points[len(line.points) // 2])
     assert grown.labels[number] == GOAL
-    assert not grown.joins_ends
     assert len(grown.branches.path(number).points) < len(line.points)
-    roots.clear()
-    shared = measured_airway(airway, None, None, grown)[0]
-    assert len(roots) == 1
-    assert values(shared) == values(measured_airway(airway, None, None)[0])
+    assert len(roots) == 2
+    shared = measured_airway(tree, None)[0]
+    assert len(roots) == 2
+    assert values(shared) == values(measured_airway(replace(airway), None)[0])
+
+
+def test_another_first_end_moves_no_tip_and_keeps_the_order_of_the_others(airway: Tree) -> None:
+    tree = replace(airway)
+    branches_from_end(tree, "E1")
+    chosen = first_end(tree, "E3")
+    assert [tip.label for tip in chosen.endpoints] == [tip.label for tip in airway.endpoints]
+    order = [2, 0, 1, *range(3, len(airway.endpoints))]
+    for tip, number in zip(chosen.endpoints, order, strict=True):
+        np.testing.assert_array_equal(tip.point, airway.endpoints[number].point)
+    np.testing.assert_array_equal(branches_from_end(chosen, "E1").branches.branches[0].line.points[0], chosen.endpoints[0].point)
 
 
 def test_a_start_beside_an_end_stands_for_it_and_is_no_root_of_the_measures(airway: Tree) -> None:
@@ -72,7 +87,6 @@ def test_a_start_beside_an_end_stands_for_it_and_is_no_root_of_the_measures(airw
     assert grown.root is None
     assert trachea.label not in grown.labels
     assert grown.labels[number] == goal.label
-    assert not grown.joins_ends
 
 
 def test_the_end_of_the_longest_tube_is_found_from_every_end(airway: Tree) -> None:

@@ -73,7 +73,7 @@ def urinary(clean: tuple[Told, OwnProfile]) -> tuple[Told, MeshFile]:
 @pytest.fixture(scope="module")
 def airway() -> tuple[Told, MeshFile]:
     tree = grow_tree(weibel_airway(generations=2, voxel=1.0).surface)
-    found, drawing, _ = measured_airway(tree, None, None)
+    found, drawing, _ = measured_airway(tree, None)
     return details_of(list(found), [], drawing), file_of(tree.surface)
 
 
@@ -234,7 +234,7 @@ def test_ways_that_share_their_points_part_where_they_differ() -> None:
 @pytest.mark.parametrize("side", ["L", "R"])
 def test_a_pelvis_in_arms_is_found_again(side: str) -> None:
     tree = grow_tree(load_lumen(InputCase(mesh=KIDNEYS / f"fused_F_{side}_mm.stl")).surface)
-    found = urinary_measures(urinary_lumen(tree, None, None), UrinarySettings())
+    found = urinary_measures(urinary_lumen(tree, None), UrinarySettings())
     items = {(one.key, one.of): one.value for one in found.measures if one.value is not None}
     lines, points = dict(found.drawing.lines), dict(found.drawing.points)
     corners = tree.surface.vertices[tree.surface.faces]
