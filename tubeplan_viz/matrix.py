@@ -33,8 +33,8 @@ from tubeplan_viz.pipeline import (
     Stopwatch,
     Tree,
     case_end_names,
+    case_tree,
     find_end,
-    grow_tree,
     listing,
     load_lumen,
     resolve_end,
@@ -99,7 +99,7 @@ def run_matrix(
     with RunFolder(target, force=force, files=MATRIX_FILES) as folder:
         lumen = load_lumen(case.input, near=case.planner.start, watch=watch)
         with watch.stage("centerlines"):
-            tree = grow_tree(lumen.surface, closed_ends=settings.tube.closed_ends, settings=settings.tube.centerline)
+            tree = case_tree(case, lumen)
             names = case_end_names(case, lumen, tree)
             start = resolve_end("start", case.planner.start or "E1", tree.endpoints, names)
             chosen = choose_goals(goals, start, tree, names)
