@@ -91,6 +91,7 @@ def plan_way(
     watch : callable, optional
         Called with each node of the tree of the mover that was asked for.
     """
+    begun = time.perf_counter()
     line = airway.line_to(target.branch, target.depth, begin=entrance.offset)
     guide = towards(make_guide(line, robot), target.point)
     mover = KinematicMover(airway.wall, robot, entrance.pose)
@@ -99,7 +100,8 @@ def plan_way(
     seen = watch if simulator is None else None
 
     def foreplan(margin: float, samples: int) -> RobotPlan:
-        asked = replace(settings, body_margin=margin, samples_max=min(samples, settings.samples_max))
+        left = time_left(settings, begun)
+        asked = replace(settings, body_margin=margin, samples_max=min(samples, settings.samples_max), time_budget=left)
         return plan_segmented(mover, robot, guide, stages, asked, wall=airway.wall, rng=rng, watch=seen)
 
     # What is to guide a robot with weight keeps more room where it can. Where few samples find nothing, the bends are too
@@ -116,7 +118,12 @@ def plan_way(
     if first.reached:
         guide = guide_of(first, airway, target.point)
     stages = stages_on(airway, entrance, target, guide, robot)
-    leaning = replace(settings, body_margin=min(settings.body_margin, -LEAK), disc_margin=min(settings.disc_margin, -BRUSH))
+    leaning = replace(
+        settings,
+        body_margin=min(settings.body_margin, -LEAK),
+        disc_margin=min(settings.disc_margin, -BRUSH),
+        time_budget=time_left(settings, begun),
+    )
     plan = plan_moved(simulator, robot, guide, stages, leaning, wall=airway.wall, rng=rng, watch=watch)
     return Way(plan=plan, centerline=line, guide=guide, route=route, foreplan=first)
 
@@ -141,8 +148,8 @@ def plan_moved(
     begun = time.perf_counter()
     asked = replace(settings, samples_max=min(FIRST_MOVED, settings.samples_max))
     plan = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, watch=watch)
-    left = None if settings.time_budget is None else settings.time_budget - (time.perf_counter() - begun)
-    if plan.reached or settings.samples_max <= FIRST_MOVED or (left is not None and left <= 0.0):
+    left = time_left(settings, begun)
+    if plan.reached or settings.samples_max <= FIRST_MOVED or left == 0.0:
         return plan
     done = len(plan.nodes)
     further = None if watch is None else lambda node, number: watch(node, done + number)
@@ -151,6 +158,11 @@ def plan_moved(
     if not other.reached and other.tip_error >= plan.tip_error:
         return plan
     return replace(other, given_up=(len(plan.nodes), len(plan.samples)))
+
+
+def time_left(settings: PlannerSettings, begun: float) -> float | None:
+    """What is left of the time budget, s, for what began at `begun` of the clock; None without a budget."""
+    return None if settings.time_budget is None else max(settings.time_budget - (time.perf_counter() - begun), 0.0)
 
 
 def replayed(mover: Mover, plan: RobotPlan) -> RobotPlan:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,8 @@ from tubeplan_viz.bronchoscope.kinematics import pose_along, section_transform
 from tubeplan_viz.bronchoscope.mover import Command, Step
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import Node, PlannerSettings, RobotPlan
-from tubeplan_viz.bronchoscope.way import FIRST_MOVED, plan_moved
+from tubeplan_viz.bronchoscope.target import branch_target
+from tubeplan_viz.bronchoscope.way import FIRST_MOVED, plan_moved, plan_way
 from tubeplan_viz.geometry import WallDistance
 
 PHI, THETA, PUSH = 0.8, 0.6, 6.0
@@ -161,3 +164,36 @@ def test_few_samples_or_no_time_left_are_for_one_try(mover: KinematicMover, monk
     late = Tries(mover, (False, 9.0))
     tried(monkeypatch, late, time_budget=0.0)
     assert len(late.asked) == 1
+
+
+def test_all_tries_of_a_plan_share_one_time_budget(made_airway: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, tree = Robot(), made_airway.tree
+    given: list[float] = []
+
+    def none_found(*args: Any, **named: Any) -> RobotPlan:
+        given.append(args[4].time_budget)
+        time.sleep(0.1)
+        start = args[0].start()
+        return RobotPlan(
+            steps=(start,),
+            step_stages=(0,),
+            stages=args[3],
+            tallies=(),
+            nodes=(),
+            samples=(),
+            tip_error=9.0,
+            reached=False,
+            reason="stuck",
+        )
+
+    monkeypatch.setattr(module, "plan_segmented", none_found)
+    monkeypatch.setattr(module, "plan_at_once", lambda plan, *args, **named: plan)
+    target = branch_target(tree, "right upper lobe", robot)
+    entrance = tree.entrance_for(robot)
+    simulator = KinematicMover(tree.wall, robot, entrance.pose)
+    asked = PlannerSettings(time_budget=30.0)
+    plan_way(tree, entrance, target, robot, asked, rng=np.random.default_rng(0), simulator=simulator)
+    # By kinematics with few samples and with all, then in the simulator and there again; each takes a tenth of a second.
+    assert len(given) == 4
+    assert given[0] <= 30.0
+    assert all(later <= earlier - 0.1 for earlier, later in pairwise(given))
