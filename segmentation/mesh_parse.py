@@ -211,6 +211,12 @@ def _parse_glb(data: bytes, name: str) -> ParsedMesh:
     length = int.from_bytes(data[8:12], "little")
     if length != len(data):
         raise SurfaceError(f"{name}: the GLB announces {length} bytes and has {len(data)}; copy or export it again")
+    try:
+        data[20 : 20 + int.from_bytes(data[12:16], "little")].decode("utf-8")
+    except UnicodeDecodeError as fault:
+        raise SurfaceError(
+            f"{name}: the GLB's description of its parts is no UTF-8 text (byte {20 + fault.start}); copy or export it again"
+        ) from None
     scene = _with_trimesh(data, "glb", name)
     parts = []
     for node in scene.graph.nodes_geometry:
@@ -235,6 +241,7 @@ def _with_trimesh(data: bytes, kind: str, name: str) -> trimesh.Trimesh | trimes
         TypeError,
         AttributeError,
         NotImplementedError,
+        ImportError,  # of a part whose compression needs another library
         EOFError,
         OSError,
         MemoryError,

@@ -90,6 +90,11 @@ def _bad_files(whole: bytes) -> dict[str, tuple[str, bytes, str]]:
         ),
         "no obj": ("a.obj", b"hello\nworld\n", "no OBJ mesh"),
         "no glb": ("a.glb", b"hello world, hello world", "no GLB file"),
+        "torn glb": (
+            "a.glb",
+            b"glTF\x02\0\0\0\x24\0\0\0\x10\0\0\0JSON" + b'{"asset": "\xff"}  ',
+            r"is no UTF-8 text \(byte 31\)",
+        ),
         "cut glb": ("a.glb", b"glTF\x02\0\0\0\xff\xff\0\0" + b"\0" * 40, "announces 65535 bytes"),
         "other ending": ("a.vtk", b"# vtk", "is no mesh format"),
     }
