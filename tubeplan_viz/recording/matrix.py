@@ -15,7 +15,8 @@ from segmentation.mesh import Surface
 from tubeplan_viz.geometry import across
 from tubeplan_viz.recording import entities as at
 from tubeplan_viz.recording.anatomy import log_surface
-from tubeplan_viz.recording.blueprint import folded, scene_axes, scene_view, viewpoint
+from tubeplan_viz.recording.blueprint import Viewpoint, folded, scene_axes, scene_view, viewpoint
+from tubeplan_viz.recording.names import log_names
 from tubeplan_viz.recording.sink import Sink
 
 INSTRUMENT = "instrument"
@@ -45,20 +46,22 @@ def log_matrix(document: Mapping[str, Any], surface: Surface, path: Path) -> Non
         If it cannot be written or does not read back.
     """
     sink = Sink(path, case_id=str(document["case_id"]), connect=None)
+    seen = np.array([document["start_mm"], *(target["point_mm"] for target in document["targets"])], float)
+    eye = viewpoint(seen, str(document["frame"]), radius=8.0, wall=np.asarray(surface.vertices[::20]))
     with sink:
         sink.log("/case", scene_axes(str(document["frame"])), static=True)
         log_surface(sink, surface, light=False)
         for number, (one, row) in enumerate(zip(document["instruments"], document["cells"], strict=True)):
             sink.at(INSTRUMENT, number)
-            log_row(sink, document, row)
+            log_row(sink, document, row, eye)
             words = rr.TextDocument(told(document, one, row), media_type=rr.MediaType.MARKDOWN)
             sink.log("/case/instrument", words)
         sink.log("/case/table", rr.TextDocument(table(document), media_type=rr.MediaType.MARKDOWN), static=True)
         sink.flush()
-        sink.publish(layout(document, surface))
+        sink.publish(layout(eye))
 
 
-def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> None:
+def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]], eye: Viewpoint) -> None:
     """The paths of one instrument, and its targets, coloured by verdict."""
     colors = [COLORS[cell["verdict"]] for cell in row]
     lines, line_colors = [], []
@@ -66,16 +69,18 @@ def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]
         if cell["path"] is not None:
             lines.append(np.asarray(paths[cell["path"]]["points_mm"], float))
             line_colors.append(color)
+        elif cell["reached_path"] is not None:
+            lines.append(beginning(np.asarray(paths[cell["reached_path"]]["points_mm"], float), cell["reached_mm"]))
+            line_colors.append(color)
     sink.log(f"{TREE}/paths", rr.LineStrips3D(lines, colors=line_colors, radii=rr.Radius.ui_points(2.5)))
     labels = [
-        f"{called(target)}: {SIGNS[cell['verdict']]}"
+        f"{target['label']}: {SIGNS[cell['verdict']]}"
         + ("" if cell["margin_mm"] is None else f" {margin_text(cell['margin_mm'])} mm")
         for target, cell in zip(document["targets"], row, strict=True)
     ]
-    points = [target["point_mm"] for target in document["targets"]]
-    sink.log(
-        f"{TREE}/targets", rr.Points3D(points, colors=colors, radii=rr.Radius.ui_points(6.0), labels=labels, show_labels=True)
-    )
+    points = np.array([target["point_mm"] for target in document["targets"]], float)
+    sink.log(f"{TREE}/targets", rr.Points3D(points, colors=colors, radii=rr.Radius.ui_points(6.0)))
+    log_names(sink, f"{TREE}/names", points, labels, colors, eye, static=False)
     rings = section_rings(document, row)
     sink.log(f"{TREE}/bends", rr.LineStrips3D(rings, colors=COLORS["impossible"], radii=rr.Radius.ui_points(1.5)))
     worst = [
@@ -93,6 +98,12 @@ def margin_text(margin: float) -> str:
     """A margin in mm with as many decimals, 2 to 6, as tell it from none: what does not fit never shows 0.00."""
     texts = [f"{margin:+.{digits}f}" for digits in range(2, 7)]
     return next((text for text in texts if float(text) != 0.0), f"{0.0:.2f}")
+
+
+def beginning(points: FloatArray, length: float) -> FloatArray:
+    """The points of a line up to some mm from its first, two at least."""
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return points[: max(int(np.searchsorted(s, length, side="right")), 2)]
 
 
 def section_rings(document: Mapping[str, Any], row: list[Mapping[str, Any]]) -> list[FloatArray]:
@@ -124,8 +135,8 @@ def told(document: Mapping[str, Any], one: Mapping[str, Any], row: list[Mapping[
 
 
 def called(target: Mapping[str, Any]) -> str:
-    """A target's label with the name of its part, where that is known."""
-    return " ".join(filter(None, (target["label"], target["name"])))
+    """A target's label with the name of its part, where that is known; a label that is in the name stands once."""
+    return " ".join([target["label"], *(word for word in str(target["name"] or "").split() if word != target["label"])])
 
 
 def table(document: Mapping[str, Any]) -> str:
@@ -142,11 +153,9 @@ def table(document: Mapping[str, Any]) -> str:
     return "\n".join(lines) + f"\n\n{legend}; margins in mm. {document['rule']}\n\n*{at.NOTICE}*"
 
 
-def layout(document: Mapping[str, Any], surface: Surface) -> rrb.Blueprint:
+def layout(eye: Viewpoint) -> rrb.Blueprint:
     """The tree beside the table; the timeline steps through the instruments."""
-    seen = np.array([document["start_mm"], *(target["point_mm"] for target in document["targets"])], float)
-    view = viewpoint(seen, str(document["frame"]), radius=8.0, wall=np.asarray(surface.vertices[::20]))
-    scene = scene_view("Paths of one instrument; step through the timeline `instrument`", view)
+    scene = scene_view("Paths of one instrument; step through the timeline `instrument`", eye)
     words = rrb.Vertical(
         rrb.TextDocumentView(origin="/case/table", name=f"All cells ({at.NOTICE.lower().rstrip('.')})"),
         rrb.TextDocumentView(origin="/case/instrument", name="This instrument"),

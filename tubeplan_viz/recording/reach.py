@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,15 @@ import rerun as rr
 import rerun.blueprint as rrb
 from scipy.spatial import cKDTree
 
-from segmentation.arrays import FloatArray
 from segmentation.mesh import Surface
 from tubeplan_viz.recording import entities as at
-from tubeplan_viz.recording.blueprint import FIELD_OF_VIEW, Viewpoint, folded, scene_axes, scene_view, viewpoint
+from tubeplan_viz.recording.blueprint import Viewpoint, folded, scene_axes, scene_view, viewpoint
 from tubeplan_viz.recording.matrix import COLORS as SIGNALS
+from tubeplan_viz.recording.names import log_names
 from tubeplan_viz.recording.sink import Sink
 
 BRANCH = "branch"
 WORDS = {"reached": "reached", "diameter": "too narrow", "bend": "no way: bend", "collision": "no way: wall"}
-# Of the airway's extent: how far names stand off the tips that they name at least, and how much farther at each try.
-OFF, FARTHER = 0.04, 0.03
-# What a label takes of the first view's height: a line, and a letter across; the viewer has them in pixels.
-LINE_SHARE, LETTER_SHARE = 0.04, 0.0105
 COLORS: dict[str, at.Color] = {
     "reached": SIGNALS["feasible"],
     "diameter": SIGNALS["impossible"],
@@ -56,7 +52,7 @@ def log_reach(document: Mapping[str, Any], surface: Surface, path: Path) -> None
         colors = [COLORS[row["verdict"]] for row in rows]
         sink.log("/case/branches/lines", rr.LineStrips3D(lines, colors=colors, radii=rr.Radius.ui_points(2.0)), static=True)
         eye = viewpoint(np.asarray(surface.vertices[::50]), str(document["frame"]), radius=8.0)
-        log_names(sink, rows, eye)
+        log_branch_names(sink, rows, eye)
         for number, row in enumerate(rows):
             sink.at(BRANCH, number)
             body = row["body_mm"]
@@ -88,62 +84,33 @@ def log_colored_wall(sink: Sink, rows: list[Mapping[str, Any]], surface: Surface
             sink.log(f"{at.WALL}/{name}", mesh, static=True)
 
 
-def log_names(sink: Sink, rows: list[Mapping[str, Any]], eye: Viewpoint) -> None:
-    """Names off the tips of the branches that end the tree or are refused, each on a thin line; the others on demand."""
-    shown = [row for row in rows if row["leaf"] or row["verdict"] != "reached"]
+def log_branch_names(sink: Sink, rows: list[Mapping[str, Any]], eye: Viewpoint) -> None:
+    """Names off the tips of the branches where the robot's way ends: reached and last, or refused first; the others on demand."""
+    ends = [
+        row["leaf"] if row["verdict"] == "reached" else row["parent"] is None or rows[row["parent"]]["verdict"] == "reached"
+        for row in rows
+    ]
+    shown = [row for row, end in zip(rows, ends, strict=True) if end]
     tips = np.array([row["points_mm"][-1] for row in shown], float).reshape(-1, 3)
-    spots = stand_off(tips, [str(row["name"]) for row in shown], eye)
-    colors = [COLORS[row["verdict"]] for row in shown]
-    leaders = [np.stack(pair) for pair in zip(tips, spots, strict=True)]
-    sink.log("/case/branches/leaders", rr.LineStrips3D(leaders, colors=colors, radii=rr.Radius.ui_points(0.5)), static=True)
-    names = rr.Points3D(
-        spots, labels=[row["name"] for row in shown], colors=colors, radii=rr.Radius.ui_points(1.0), show_labels=len(shown) < 24
+    log_names(
+        sink,
+        "/case/branches/names",
+        tips,
+        [str(row["name"]) for row in shown],
+        [COLORS[row["verdict"]] for row in shown],
+        eye,
+        static=True,
     )
-    sink.log("/case/branches/names", names, static=True)
-    others = [row for row in rows if not row["leaf"] and row["verdict"] == "reached"]
-    passed = rr.Points3D(
-        [row["middle_mm"] for row in others],
-        labels=[row["name"] for row in others],
-        colors=[COLORS[row["verdict"]] for row in others],
-        radii=rr.Radius.ui_points(3.0),
-        show_labels=False,
-    )
+    others = [row for row, end in zip(rows, ends, strict=True) if not end]
     if others:
+        passed = rr.Points3D(
+            [row["middle_mm"] for row in others],
+            labels=[row["name"] for row in others],
+            colors=[COLORS[row["verdict"]] for row in others],
+            radii=rr.Radius.ui_points(3.0),
+            show_labels=False,
+        )
         sink.log("/case/branches/passed", passed, static=True)
-
-
-def stand_off(tips: FloatArray, names: Sequence[str], eye: Viewpoint) -> FloatArray:
-    """Places for names, (n, 3) mm: away from the middle of all tips in the plane of the screen, so far that none lies on another.
-
-    Parameters
-    ----------
-    tips : (n, 3) float array, mm
-    names : sequence of str
-    eye : Viewpoint
-        From which the names must not overlap; from elsewhere they may.
-    """
-    ahead = eye.target - eye.position
-    far = float(np.linalg.norm(ahead))
-    right = np.cross(ahead, eye.up)
-    right /= np.linalg.norm(right)
-    up = np.cross(right, ahead) / far
-    height = 2.0 * far * float(np.tan(0.5 * FIELD_OF_VIEW))
-    flat = np.column_stack([tips @ right, tips @ up])
-    away = flat - flat.mean(axis=0)
-    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
-    width = LETTER_SHARE * height * np.array([len(name) + 3 for name in names], float)
-    line, placed = LINE_SHARE * height, np.empty((0, 2))
-    for k in range(len(tips)):
-        off = OFF * height
-        while True:
-            spot = flat[k] + off * away[k]
-            apart = np.abs(placed - spot)
-            if not np.any((apart[:, 0] < 0.5 * (width[:k] + width[k])) & (apart[:, 1] < line)):
-                break
-            off += FARTHER * height
-        placed = np.vstack([placed, spot])
-    moved = placed - flat
-    return np.asarray(tips + moved[:, :1] * right + moved[:, 1:] * up)
 
 
 def told(row: Mapping[str, Any]) -> str:

@@ -7,7 +7,8 @@ import pytest
 
 from tubeplan_viz.recording.blueprint import FIELD_OF_VIEW, Viewpoint, viewpoint
 from tubeplan_viz.recording.matrix import margin_text
-from tubeplan_viz.recording.reach import LETTER_SHARE, LINE_SHARE, stand_off, table
+from tubeplan_viz.recording.names import FARTHER, FARTHEST, LETTER_SHARE, LINE_SHARE, stand_off
+from tubeplan_viz.recording.reach import table
 
 
 def on_screen(points: np.ndarray, eye: Viewpoint) -> tuple[np.ndarray, np.ndarray]:
@@ -31,6 +32,7 @@ def test_names_do_not_overlap_and_move_only_across_the_line_of_sight(seed: int) 
     spots = stand_off(tips, names, eye)
     flat, along = on_screen(spots, eye)
     np.testing.assert_allclose(along, on_screen(tips, eye)[1], atol=1e-9)
+    assert np.linalg.norm(flat - on_screen(tips, eye)[0], axis=1).max() <= FARTHEST + FARTHER + 1e-9
     width = LETTER_SHARE * np.array([len(name) for name in names])
     for a in range(12):
         for b in range(a):
