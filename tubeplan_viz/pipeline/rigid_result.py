@@ -35,6 +35,7 @@ from tubeplan_viz.rigid.judge import between
 SPACING = 0.2  # mm; result.json promises at most 0.25
 TURN_STEP = np.radians(1.0)
 PROOF_STEPS = 6
+TOLD_CELLS = 64  # looked at for the distances of the chosen path, twice as many as for the ranking
 
 
 def rigid_content(
@@ -128,7 +129,7 @@ def rigid_content(
 def measured(problem: Problem, path: RigidPath, details: dict[str, Any]) -> dict[str, Any]:
     """Status, path, metrics and certificate of the chosen path; the distances along it go into `details`."""
     s, points, directions = sampled(path)
-    at = structure_distances(problem.obstacles, posed(problem.instrument, points, directions, path.roll))
+    at = structure_distances(problem.obstacles, posed(problem.instrument, points, directions, path.roll), cells=TOLD_CELLS)
     names = [name for name in problem.obstacles.names if name != BORDER]
     columns = [problem.obstacles.names.index(name) for name in names]
     near = np.where(np.isfinite(at[:, columns]), at[:, columns], np.nan)
@@ -243,7 +244,7 @@ def candidates(plan: RigidPlan) -> list[dict[str, Any]]:
     rows = []
     for k, path in enumerate(plan.paths):
         goals = {
-            f"{name}_{'voxels' if name == 'tissue' else 'mm'}": None if np.isinf(v) else round(float(v), 4)
+            f"{name}_{'voxels' if name == 'tissue' else 'mm'}": None if np.isinf(v) else float(v)
             for name, v in zip(GOALS, plan.goals[k], strict=True)
         }
         rows.append(
@@ -305,7 +306,7 @@ def worst_place(
     obstacles = problem.obstacles
     structures = [j for j, name in enumerate(obstacles.names) if name != BORDER]
     pose = posed(problem.instrument, points[k : k + 1], directions[k : k + 1], path.roll)
-    gaps = structure_gaps(obstacles, to_frame(pose, obstacles.frame), structures)
+    gaps = structure_gaps(obstacles, to_frame(pose, obstacles.frame), structures, cells=TOLD_CELLS)
     part, column = np.unravel_index(int(gaps.distance.argmin()), gaps.distance.shape)
     return {
         "s_mm": float(s[k]),
@@ -325,7 +326,7 @@ def turn_clearance(problem: Problem, path: RigidPath) -> float | None:
         share = np.linspace(0.0, 1.0, count)
         ways = between(np.repeat(before, count, axis=0), np.repeat(after, count, axis=0), share)
         bodies = posed(problem.instrument, np.repeat(b[None], count, axis=0), ways, path.roll)
-        at = structure_distances(problem.obstacles, bodies)
+        at = structure_distances(problem.obstacles, bodies, cells=TOLD_CELLS)
         least = min(least, float(at[:, [name != BORDER for name in problem.obstacles.names]].min()))
     return least if len(path.nodes) > 2 else None
 

@@ -10,7 +10,7 @@ import numpy as np
 from segmentation.anatomy.nasal.scene import NasalScene, Tissue
 from segmentation.arrays import BoolArray, FloatArray, IntArray
 from segmentation.errors import CaseError
-from tubeplan_viz.rigid.collision import structure_gaps, to_frame
+from tubeplan_viz.rigid.collision import CELLS_ASKED, structure_gaps, to_frame
 from tubeplan_viz.rigid.entry import BORDER, entry_border, entry_points
 from tubeplan_viz.rigid.instrument import Bodies, CoupledInstrument, posed, swept, unit
 from tubeplan_viz.rigid.judge import Judge
@@ -22,6 +22,7 @@ from tubeplan_viz.rigid.tangent_search import cannot_stand, search
 from tubeplan_viz.rigid.verdicts import Verdicts
 
 AROUND_MM = 25.0  # of structures beside the way that are kept; farther ones are no nearer than this
+GOAL_DECIMALS = 4  # distances are settled to 1e-3 mm
 BENT_RANKED_MM = 2.0  # of paths with bends one is ranked for every cube of starts of this side
 Progress = Callable[[str, int, int], None]
 SIDES = ("left", "right")
@@ -222,7 +223,7 @@ def segments(paths: Sequence[RigidPath]) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def path_goals(problem: Problem, paths: Sequence[RigidPath]) -> FloatArray:
-    """Goals of paths, (n, 6), columns as in `ranking.GOALS`."""
+    """Goals of paths, (n, 6), columns as in `ranking.GOALS`, with the decimals that are told: less decides nothing."""
     start, end, roll, owner = segments(paths)
     # Bent paths share their last segments; each is measured once.
     unique, which = np.unique(np.column_stack([start, end, roll]).round(9), axis=0, return_inverse=True)
@@ -236,16 +237,16 @@ def path_goals(problem: Problem, paths: Sequence[RigidPath]) -> FloatArray:
             np.minimum.at(goals[:, k], owner, gaps[which][:, columns].min(axis=1))
     goals[:, 4] = [path.length for path in paths]
     goals[:, 5] = [len(voxels) for voxels in channels(problem, paths)]
-    return goals
+    return np.asarray(np.round(goals, GOAL_DECIMALS))
 
 
 GROUPS = ("brain", "orbit", "septum", "turbinate")
 
 
-def structure_distances(obstacles: Obstacles, bodies: Bodies) -> FloatArray:
+def structure_distances(obstacles: Obstacles, bodies: Bodies, *, cells: int = CELLS_ASKED) -> FloatArray:
     """Distance of each instrument (two bodies) to each structure, (n, structures) mm; of the border it is not measured."""
     measured = [k for k, name in enumerate(obstacles.names) if name != BORDER]
-    gaps = structure_gaps(obstacles, to_frame(bodies, obstacles.frame), measured).distance
+    gaps = structure_gaps(obstacles, to_frame(bodies, obstacles.frame), measured, cells=cells).distance
     return np.asarray(gaps.reshape(-1, 2, gaps.shape[1]).min(axis=1))
 
 

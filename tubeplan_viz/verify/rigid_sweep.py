@@ -21,7 +21,8 @@ from segmentation.volume import Volume
 GRID = 5  # points of a voxel to a side, its faces included
 TURN_STEP = np.radians(0.5)
 BLOCK = 8  # places of the tip that share their voxels
-ROUNDING_MM = 2e-3  # of the planner's distances
+ROUNDING_MM = 5e-3  # of the distances along the chosen path
+RANKED_MM = 0.02  # of those that paths are ranked by
 
 
 @dataclass(frozen=True, eq=False)

@@ -437,7 +437,7 @@ def check_worst(
             off = float(np.linalg.norm(points_of(some, near) - place, axis=1).min())
         nodes = np.array([feature["point_mm"] for feature in result["feature_points"]], float)
         lengths = np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))
-        n = min(int(np.searchsorted(lengths, path["s_mm"][k] - 1e-9)), len(lengths) - 1)
+        n = min(int(np.searchsorted(lengths, path["s_mm"][k] + SAME)), len(lengths) - 1)
         way = (nodes[n + 1] - nodes[n]) / np.linalg.norm(nodes[n + 1] - nodes[n])
         tool = result["details"]["instrument"]
         pose = Pose(
