@@ -89,7 +89,9 @@ def rigid(
     }
     if clearance_min is not None:
         table["limits"] = {"clearance_min": clearance_min}
-    plan_and_exit(make_case(table, name="options"), outputs)
+    case = make_case(table, name="options")
+    _ = case.instrument  # names that no catalogue has and parts that do not fit are told before the CT is read
+    plan_and_exit(case, outputs)
 
 
 def named(texts: list[str] | None, option: str) -> dict[str, str] | None:
