@@ -21,6 +21,8 @@ TITLES = {"ok": "Every instrument reaches every target", "infeasible": "No instr
 CEILING_PLACES = {"start": "at the start itself", "goal": "at the target itself"}
 # Both columns of labels beside the still picture hold so many.
 MOST_LABELS = 30
+# A way left to the target of so many mm is told without decimals.
+LONG_WAY = 100.0
 PARTS = {"shaft": "", "tip": "rigid tip", "ceiling": "at most", "bend": "bend too sharp"}
 
 
@@ -157,6 +159,11 @@ def _cell(source: Source, i: int, j: int) -> CellView:
         more = phrase("bend ", bend, f", {part}" if part else "")
     else:
         more = phrase(part or ("straight" if bend is not None else "no path"))
+    short = source.value(f"{key}.short_mm")
+    if short is not None:
+        more = phrase(source.need(f"{key}.short_mm", 1 if short < LONG_WAY else 0, "mm"), " short")
+    elif cell["verdict"] != "feasible" and source.result["paths"][j]:
+        more = phrase("not past the start")
     return CellView(
         verdict=cell["verdict"],
         icon=ICONS[cell["verdict"]],

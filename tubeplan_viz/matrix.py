@@ -51,7 +51,8 @@ RULE = (
     "Holds: a path is proved to keep the clearance of the instrument's radius, its bend radius and its working length, and its "
     "rigid tip, taken as a straight chord at every place of the path, keeps the same clearance. Flagged: the best path found "
     "breaks a limit; that none exists is not proved. Impossible: proved, no path can keep the limits, since the lumen is too "
-    "narrow on every way, a bend too sharp for the bend radius, or the target too far."
+    "narrow on every way, a bend too sharp for the bend radius, or the target too far. Short: of an instrument that does not "
+    "hold, the way that is left where it is proved to come along the best of the paths found; it may come farther on others."
 )
 
 
@@ -214,6 +215,10 @@ def cell_entry(cell: Cell, instrument: Instrument) -> dict[str, Any]:
         "length_mm": cell.length,
         "tip_clearance_mm": None if cell.tip is None else cell.tip.sampled,
         "tip_deviation_mm": None if cell.tip is None else cell.tip.deviation,
+        "reached_mm": None if cell.advance is None else cell.advance.arc_length,
+        "reached_point_mm": None if cell.advance is None else cell.advance.point,
+        "short_mm": None if cell.advance is None else cell.advance.short,
+        "reached_path": None if cell.advance is None else cell.advance.path,
         "inferred_from": cell.inferred_from,
         "path": cell.path,
         "bend": cell.bend,
@@ -236,7 +241,7 @@ def path_entry(path: Witness) -> dict[str, Any]:
 def matrix_csv(document: Mapping[str, Any]) -> str:
     """One line per cell, for a spreadsheet; numbers in the shortest form that reads back to the same double."""
     margin = ("required_mm", "available_mm", "margin_mm", "margin_at_mm", "margin_of")
-    keys = ("verdict", *margin, "bend_radius_mm", "length_mm", "tip_clearance_mm", "reason")
+    keys = ("verdict", *margin, "bend_radius_mm", "length_mm", "tip_clearance_mm", "short_mm", "reason")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["instrument", "outer_diameter_mm", "bend_radius_min_mm", "target", "target_name", *keys])

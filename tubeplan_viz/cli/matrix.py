@@ -74,15 +74,22 @@ def show(document: Mapping[str, Any], folder: Path) -> None:
     for target in document["targets"]:
         table.add_column("\n".join(filter(None, (target["label"], target["name"]))), justify="right", max_width=16)
     for one, row in zip(document["instruments"], document["cells"], strict=True):
-        cells = [SIGNS[cell["verdict"]] + margin_words(cell["margin_mm"]) for cell in row]
-        table.add_row(one["name"], f"{one['outer_diameter_mm']:.2f}, {one['bend_radius_min_mm']:g}", *cells)
-    wide = 60 + 13 * len(document["targets"])
+        table.add_row(one["name"], f"{one['outer_diameter_mm']:.2f}, {one['bend_radius_min_mm']:g}", *map(cell_words, row))
+    wide = 60 + 18 * len(document["targets"])
     Console(width=None if Console().is_terminal else wide).print(table)
     counts = document["counts"]
     typer.echo(f"{counts['feasible']} hold, {counts['flagged']} flagged, {counts['impossible']} proved impossible; margins in mm")
+    if any(cell["short_mm"] is not None for row in document["cells"] for cell in row):
+        typer.echo("short: mm of way left where an instrument is proved to come on the paths found")
     name_pages(folder)
 
 
 def margin_words(margin: float | None) -> str:
     """A margin with its sign, in mm, behind a verdict; nothing where there is none."""
     return "" if margin is None else f" {'+' if margin >= 0.0 else ''}{apart(margin, 0.0)[0]}"
+
+
+def cell_words(cell: Mapping[str, Any]) -> str:
+    """Verdict and margin of one cell, and how far its instrument stays short of the target."""
+    short = cell["short_mm"]
+    return SIGNS[cell["verdict"]] + margin_words(cell["margin_mm"]) + ("" if short is None else f"\n{short:.1f} short")

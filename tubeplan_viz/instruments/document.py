@@ -39,6 +39,6 @@ def validate_matrix(document: Mapping[str, Any]) -> None:
         )
     for i, row in enumerate(document["cells"]):
         for j, cell in enumerate(row):
-            for key in ("path", "bend"):
-                if cell[key] is not None and cell[key] >= len(document[f"{key}s"][j]):
-                    raise MatrixError(f"matrix.json: cells.{i}.{j}.{key} is {cell[key]}, expected one of the target's {key}s")
+            for key, listed in (("path", "paths"), ("reached_path", "paths"), ("bend", "bends")):
+                if cell[key] is not None and cell[key] >= len(document[listed][j]):
+                    raise MatrixError(f"matrix.json: cells.{i}.{j}.{key} is {cell[key]}, expected one of the target's {listed}")

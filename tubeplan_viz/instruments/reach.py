@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -16,6 +16,7 @@ import numpy as np
 from segmentation.arrays import FloatArray
 from segmentation.errors import CaseError
 from tubeplan_viz.geometry import SplineCurve, WallDistance
+from tubeplan_viz.instruments.advance import farthest
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.proof import SharpBend, impossible, sharp_bends
 from tubeplan_viz.instruments.tip import TipClearance, tip_clearance
@@ -23,6 +24,7 @@ from tubeplan_viz.instruments.track import Track
 from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness, broken, witness_of
 from tubeplan_viz.plan import Limits, NoPathError
 from tubeplan_viz.tube import METHODS, OptimalSettings, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
+from tubeplan_viz.tube.passage import Proposal
 from tubeplan_viz.tube.samples import first_spline
 
 # Nearer to the ceiling than this share, a softer instrument gains nothing.
@@ -80,6 +82,8 @@ class Reach:
         if target.centerline is not None:
             possible = [one for one in self._instruments if self.impossible(one) is None]
             self.search(possible)
+            if not all(self.is_served(one) for one in self._instruments):
+                self.centre()
             hindered = [one for one in possible if not any(self.fits(witness, one) for witness in self.witnesses)]
             self.bends = sharp_bends(wall, target, hindered, self.witnesses)
 
@@ -121,15 +125,32 @@ class Reach:
 
     def widest_path(self, limits: Limits) -> SplineCurve | None:
         """The path of largest least clearance under a curvature limit; None when no spline follows the line."""
-        first, curve = self._first_spline, None
-        if first is None:
-            return None
-        for proposal in optimise(self._passage(limits), quick(self._settings.tube.optimal), warm=first):
+        curve = None
+        for proposal in self._proposals(limits, self._first_spline):
             curve = proposal.curve
             # The first proof ends the phase that raises the least clearance; what follows serves its mean.
             if proposal.clearance is not None:
                 break
         return curve
+
+    def centre(self) -> None:
+        """Add paths as far from the wall as they can be where the lumen is wider than at its narrowest.
+
+        Instruments that a narrow place keeps out, or whose rigid tip is caught, come farther on them. One bends as little as
+        the stiffest of these has to, one as half of them may: more room in the bends against more instruments.
+        """
+        levels = sorted(one.limits.curvature_max for one in self._instruments if not self.is_served(one))
+        thinnest = min(one.radius for one in self._instruments)
+        for level in dict.fromkeys((levels[0], levels[len(levels) // 2])):
+            limits, curve = Limits(curvature_max=level, clearance_min=thinnest), None
+            for proposal in self._proposals(limits, self._first_spline):
+                curve = proposal.curve
+            self.add(curve, limits)
+
+    def _proposals(self, limits: Limits, first: SplineCurve | None) -> Iterator[Proposal]:
+        """Rounds of the refinement from a spline on; none without one."""
+        if first is not None:
+            yield from optimise(self._passage(limits), quick(self._settings.tube.optimal), warm=first)
 
     @cached_property
     def _first_spline(self) -> SplineCurve | None:
@@ -173,11 +194,15 @@ class Reach:
             return None
         if (index, length, radius) not in self._tips:
             curve = self.witnesses[index].curve
-            if index not in self._tracks:
-                self._tracks[index] = Track.of(curve, self._wall)
-            found = tip_clearance(curve, self._wall, length, limit=radius, track=self._tracks[index])
+            found = tip_clearance(curve, self._wall, length, limit=radius, track=self.track(index))
             self._tips[index, length, radius] = found
         return self._tips[index, length, radius]
+
+    def track(self, index: int) -> Track:
+        """One witness laid out by arc length."""
+        if index not in self._tracks:
+            self._tracks[index] = Track.of(self.witnesses[index].curve, self._wall)
+        return self._tracks[index]
 
     def fits(self, witness: Witness, instrument: Instrument) -> bool:
         """Whether a path is proved to keep curvature limit and clearance."""
@@ -200,7 +225,19 @@ class Reach:
     def cells(self) -> tuple[Cell, ...]:
         """The verdict for every instrument, in the order given."""
         own = [self.judge(instrument) for instrument in self._instruments]
-        return tuple(self.inherit(own, k) for k in range(len(own)))
+        return tuple(self.with_advance(self.inherit(own, k), k) for k in range(len(own)))
+
+    def with_advance(self, cell: Cell, k: int) -> Cell:
+        """A cell that is not feasible, with how far its instrument comes."""
+        if cell.verdict is Verdict.FEASIBLE:
+            return cell
+        tracks = {number: self.track(number) for number, witness in enumerate(self.witnesses) if witness.clearance_bound > 0.0}
+        curves = [witness.curve for witness in self.witnesses]
+        used = self._settings.before_start_mm
+        advance = farthest(self._instruments[k], self._wall, curves, tracks, used=used)
+        if advance is None:
+            return cell
+        return replace(cell, advance=advance, reason=f"{cell.reason}; it comes to {advance.short:.1f} mm before the target")
 
     def inherit(self, own: Sequence[Cell], k: int) -> Cell:
         """A cell that is not feasible by itself takes the yes of a harder instrument: it can take every shape of that one."""

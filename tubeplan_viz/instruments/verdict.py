@@ -8,6 +8,7 @@ from enum import StrEnum
 from segmentation.arrays import FloatArray, frozen_array
 from tubeplan_viz.centerline import Centerline
 from tubeplan_viz.geometry import SplineCurve, WallDistance, clearance_lower_bound, curvature_upper_bound
+from tubeplan_viz.instruments.advance import Advance
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.tip import TipClearance
 from tubeplan_viz.plan import Limits
@@ -101,6 +102,8 @@ class Cell:
         Index into the target's witnesses.
     bend : int or None
         Index into the target's sharp bends, of the one that proves the cell impossible.
+    advance : Advance or None
+        Of a cell that is not feasible, how far the instrument comes; None where it is not known to leave the start.
     """
 
     instrument: str
@@ -118,6 +121,7 @@ class Cell:
     inferred_from: str | None = None
     path: int | None = None
     bend: int | None = None
+    advance: Advance | None = None
 
 
 def apart(value: float, limit: float) -> tuple[str, str]:
