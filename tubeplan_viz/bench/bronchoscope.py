@@ -1,8 +1,9 @@
 """tubeplan bench bronchoscope: the route of Guo et al. (2022) on the generated airway, by kinematics and in the simulator."""
 
 # Strategy: every run has its own seed for the samples and its own small error of how the robot is set in (up to 1 mm aside and
-# 2 degrees askew), so that no two runs are alike. Trees and guides are made once per run, as in a plan; the time counted is that
-# of the planner, without reading the mesh and without building the simulator's model.
+# 2 degrees askew), so that no two runs are alike. Trees and guides are made once per run, as in a plan; the time counted is the
+# processor's for the planner, without reading the mesh and without building the simulator's model: other work on the machine adds
+# nothing to it. The planner uses one core, so it is also the time on the clock of a machine that does nothing else.
 
 from __future__ import annotations
 
@@ -122,9 +123,9 @@ def trials(method: str, airway: AirwayTree, target: Target, runs: int, notify: N
         rng = np.random.default_rng(seed)
         entrance = set_in(airway.entrance_for(robot), rng)
         simulator: Mover | None = make_simulator(airway, entrance, robot) if method == "dynamic" else None
-        begun = time.perf_counter()
+        begun = time.process_time()
         way = plan_way(airway, entrance, target, robot, PlannerSettings(), rng=rng, simulator=simulator)
-        found.append(Trial(plan=way.plan, seconds=time.perf_counter() - begun))
+        found.append(Trial(plan=way.plan, seconds=time.process_time() - begun))
     return found
 
 
@@ -151,8 +152,8 @@ def method_rows(method: str, airway: AirwayTree, target: Target, runs: int, noti
         ),
         bounded(case, "tip error mm, median", float(np.median(errors)), 1.5, TEXT_ERROR, f"{TEXT}, mean"),
         bounded(case, "tip error mm, largest", float(errors.max()), 2.5),
-        bounded(case, "plan time s, median", float(np.median(seconds)), limit, TEXT_TIME, f"{TEXT}, Xeon E5-2650, mean"),
-        Row(case=case, figure="plan time s, largest", ours=float(seconds.max())),
+        bounded(case, "plan time, CPU s, median", float(np.median(seconds)), limit, TEXT_TIME, f"{TEXT}, Xeon E5-2650, mean"),
+        bounded(case, "longest plan over the median one", float(seconds.max() / np.median(seconds)), 3.0),
         Row(
             case=case,
             figure="least clearance of the body mm",
