@@ -35,7 +35,7 @@ CLEAR = 0.4  # difference of cosines that leaves no doubt
 LEFT_MAIN_WIDTHS = 1.5  # least length of a left main bronchus in its own widths, for its lobes to be told
 UNDECIDED = 0.5  # confidence of a choice between equals
 # Main bronchi cast a vote on their sides where their widths or lengths differ by this share, their turns by this angle, rad.
-UNLIKE, UNLIKE_TURN = 0.1, np.radians(5.0)
+UNLIKE, UNLIKE_TURN = 0.1, np.radians(10.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -174,8 +174,10 @@ def sides(
     votes = [int(np.sign(lead)) for lead, least in zip(leads, needed, strict=True) if abs(lead) >= least]
     right, left = (one, two) if sum(votes) > 0 else (two, one)
     axes = body_axes(direction(branches[division]), direction(branches[left]) - direction(branches[right]), frame)
-    certainty = UNDECIDED if sum(votes) == 0 else 0.9 if abs(sum(votes)) > 1 else 0.6
-    return (left, right), certainty, axes
+    if sum(votes) == 0:
+        return (left, right), UNDECIDED, axes
+    agreed = abs(sum(votes)) == len(votes)
+    return (left, right), (0.9 if len(votes) > 1 else 0.75) if agreed else 0.6, axes
 
 
 def main_length(branches: Sequence[Branch], children: list[list[int]], number: int) -> float:

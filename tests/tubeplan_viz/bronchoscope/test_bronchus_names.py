@@ -33,12 +33,15 @@ def test_equal_main_bronchi_of_a_mesh_have_no_side() -> None:
     assert names([trachea, one, two], "LPS") == ["trachea", "left main bronchus", "right main bronchus"]
 
 
-def test_two_votes_that_agree_are_sure_and_votes_against_each_other_are_not() -> None:
+def test_votes_that_agree_tell_the_sides_and_votes_against_each_other_do_not() -> None:
     trachea = branch(None, -1, DOWN, 80.0, 8.0)
     wide = branch(trachea, 0, LEFT, 60.0, 7.0, 20.0)
     narrow = branch(trachea, 0, RIGHT, 60.0, 5.5, 45.0)
     found = name_branches([trachea, wide, narrow], {}, frame="mesh")
     assert [(one.name, one.confidence) for one in found[1:]] == [("right main bronchus", 0.9), ("left main bronchus", 0.9)]
+    # One vote and none against it is less sure.
+    only = [trachea, branch(trachea, 0, LEFT, 60.0, 6.0, 30.0), branch(trachea, 0, RIGHT, 60.0, 6.0, 45.0)]
+    assert [one.confidence for one in name_branches(only, {}, frame="mesh")] == [1.0, 0.75, 0.75]
     against = [trachea, branch(trachea, 0, LEFT, 60.0, 7.0, 45.0), branch(trachea, 0, RIGHT, 60.0, 5.5, 20.0)]
     assert names(against, "mesh")[1:] == ["main bronchus a", "main bronchus b"]
 
