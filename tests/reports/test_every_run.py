@@ -135,6 +135,35 @@ def test_the_scene_of_a_needles_page_opens_at_the_tightest_place_and_turns(made:
     context.close()
 
 
+def test_the_scene_of_a_noses_page_opens_with_the_instrument_at_the_tightest_place_and_parts_can_be_hidden(
+    made: Callable[[str], Path], browser: Any
+) -> None:
+    run = made("nose")
+    document = document_of(run)
+    worst, path = document["details"]["worst"], document["path"]
+    context = browser.new_context(viewport={"width": 1440, "height": 900}, reduced_motion="reduce")
+    page = context.new_page()
+    page.goto((run / "report.html").as_uri())
+    for _ in range(400):
+        if page.evaluate("globalThis.tubeplanReady === true"):
+            break
+        page.wait_for_timeout(50)
+    page.wait_for_timeout(250)
+    nearest = worst["structure"].replace("_", " ")
+    told = page.locator("#labels b").all_text_contents()
+    assert told == ["Lesion", "Start", f"{worst['distance_mm']:.2f} mm to the {nearest}"]
+    assert page.locator("#at").text_content() == f"{worst['s_mm']:.1f}\u00a0mm"
+    assert page.locator("#at-clearance").text_content() == f"{min(path['clearance_mm']):.2f}\u00a0mm"
+    assert page.locator("#at-part").text_content() == f"nearest: {nearest}"
+    for name in ("tool", "structures", "spots"):
+        # What is hidden was seen: the picture changes.
+        before = page.locator("#scene canvas").screenshot()
+        page.locator(f"[data-show={name}]").uncheck()
+        page.wait_for_timeout(250)
+        assert page.locator("#scene canvas").screenshot() != before
+    context.close()
+
+
 def all_known(run: Path, numbers_shown: Any) -> set[float]:
     """Every number of the run's document and those that follow from it by a documented formula."""
     document = document_of(run)
