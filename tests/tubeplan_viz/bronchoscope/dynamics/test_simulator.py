@@ -16,8 +16,9 @@ from segmentation.errors import CaseError
 from tubeplan_viz.bench.axes import planar_axis
 from tubeplan_viz.bench.meshing import constant_radius, sweep
 from tubeplan_viz.bronchoscope.dynamics import DynamicsSettings, Simulator
-from tubeplan_viz.bronchoscope.dynamics.chain import Chain, hinge_angles
+from tubeplan_viz.bronchoscope.dynamics.chain import RIM_BALLS, Chain, hinge_angles
 from tubeplan_viz.bronchoscope.dynamics.engine import engine
+from tubeplan_viz.bronchoscope.dynamics.model import build_model
 from tubeplan_viz.bronchoscope.kinematics import chain_transform, pose_along
 from tubeplan_viz.bronchoscope.mover import Command, Step
 from tubeplan_viz.bronchoscope.robot import Robot
@@ -168,6 +169,15 @@ def test_no_part_leaves_a_curved_tube_whatever_is_ordered(bent: tuple[Simulator,
         assert step.body_clearance > -0.3
         axis = np.linalg.norm(step.body - step.body[-1], axis=1) >= simulator.robot.radius
         assert float(simulator.wall.exact.clearance(step.body[axis]).min()) > simulator.robot.radius - 0.3
+
+
+@pytest.mark.parametrize(("friction", "directions"), [(0.0, 1), (0.1, 3), (0.3, 3)])
+def test_every_contact_slides_with_the_stated_friction(friction: float, directions: int) -> None:
+    chain = Chain(robot=Robot(), settings=DynamicsSettings(friction=friction))
+    model = build_model(chain, pose_along([0.0, 0.0, 0.0], [0.0, 1.0, 0.0]), 4).model
+    assert len(model.pair_dim) == 3 * (len(chain.balls[chain.balls < chain.hinges[27]]) + RIM_BALLS)  # three planes a ball
+    assert (model.pair_dim == directions).all()  # the normal force alone, or two directions of sliding besides
+    assert model.pair_friction[:, :2] == pytest.approx(np.full((len(model.pair_dim), 2), friction))
 
 
 def test_a_motion_that_the_wall_halts_says_so_and_one_that_is_carried_out_does_not(bent: tuple[Simulator, list[Step]]) -> None:
