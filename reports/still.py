@@ -21,8 +21,6 @@ from reports.wall import LightMesh
 from segmentation.arrays import FloatArray
 
 WIDE, TALL, MARGIN = 340, 470, 30
-# Of the picture's foot, left to the legend that lies over it.
-FOOT = 64.0
 SHARPNESS = 2.0  # raster pixels per drawing unit
 WALL_RGB = (141, 117, 101)
 
@@ -176,7 +174,7 @@ def _line(points: FloatArray, name: str) -> Markup:
 def _labels(labels: Sequence[Label], spots: FloatArray, drawn: FloatArray) -> list[Markup]:
     """Labels beside their places, where they hide least, with leaders."""
     widths = [LETTER * len(label.text) + RIM for label in labels]
-    corners = stand(spots, widths, drawn, bottom=TALL - FOOT)
+    corners = stand(spots, widths, drawn, bottom=float(TALL))
     parts: list[Markup] = []
     for label, spot, corner, width in zip(labels, spots, corners, widths, strict=True):
         if not np.isfinite(corner).all():
