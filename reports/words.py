@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -155,11 +156,13 @@ def _radii(source: Source) -> tuple[Figure | None, Figure | None]:
 
 def goal_words(source: Source, parts: Sequence[Mapping[str, Any]]) -> str:
     """The goal by the part of the anatomy in which it lies, else by its label."""
-    label = (source.result.get("details") or {}).get("goal_label")
-    if not parts:
+    details = source.result.get("details") or {}
+    label = details.get("goal_label")
+    of_end = [tip.get("name") for tip in details.get("endpoints") or () if label and tip["label"] == label]
+    name = str(parts[-1]["name"]) if parts else next(iter(of_end), None)
+    if not name:
         return f"goal {label}" if label else "the goal"
-    name = str(parts[-1]["name"])
-    return f"the {name}" if not label or str(label) in name.split() else f"the {name} ({label})"
+    return f"the {name}" if not label or str(label) in re.findall(r"\w+", name) else f"the {name} ({label})"
 
 
 def _title(source: Source, status: str, flags: Sequence[Mapping[str, Any]], parts: Sequence[Mapping[str, Any]]) -> Phrase:

@@ -90,6 +90,12 @@ def test_the_goal_is_named_by_its_part_else_by_its_label(make_review: Any) -> No
     assert f"in the {'ureter' if tightest <= 60.0 else 'lower calyx E3'}, the path comes closest to the wall" in named
     review.result["details"]["parts"] = [PARTS[0], {**PARTS[1], "name": "right lower lobe"}]
     assert "The path reaches the right lower lobe (E3) and keeps both limits" in text_of(render_report(review))
+    review.result["details"]["parts"] = [PARTS[0], {**PARTS[1], "name": "calyx E3, group 1"}]
+    assert "The path reaches the calyx E3, group 1 and keeps both limits" in text_of(render_report(review))
+    # One part alone says nothing of where along the path, but its ends have names.
+    review.result["details"]["parts"] = []
+    review.result["details"]["endpoints"] = [{"label": "E3", "name": "lower end of the trachea", "point_mm": [0.0, 0.0, 0.0]}]
+    assert "The path reaches the lower end of the trachea (E3) and keeps" in text_of(render_report(review))
 
 
 def test_no_path_is_stated_by_what_is_proved_and_says_how_far_the_best_one_holds(make_review: Any) -> None:

@@ -66,7 +66,7 @@ def end_names(parts: Sequence[Part], tree: Tree) -> dict[str, str]:
     if len(parts) > 1 or len(names) != 2 or tree.surface.frame != "LPS":
         return names
     low, high = sorted(tree.endpoints, key=lambda tip: float(tip.point[2]))
-    return {low.label: f"{names[low.label]}, lower end", high.label: f"{names[high.label]}, upper end"}
+    return {low.label: f"lower end of the {names[low.label]}", high.label: f"upper end of the {names[high.label]}"}
 
 
 def airway_parts(lumen: Lumen) -> tuple[Part, ...]:

@@ -52,7 +52,7 @@ def test_an_airway_without_a_carina_is_entered_from_above_and_its_ends_are_told_
     assert (first.label, second.label) == ("E1", "E2")
     assert first.point[2] > second.point[2] + 10.0
     names = end_names(lumen_parts("airway", tree, None), tree)
-    assert names == {"E1": "trachea, upper end", "E2": "trachea, lower end"}
+    assert names == {"E1": "upper end of the trachea", "E2": "lower end of the trachea"}
     # A mesh's axes say nothing of above: the end that was found stays the first.
     plain = Surface(surface.vertices, surface.faces, surface.face_cap, surface.caps, "mesh")
     np.testing.assert_array_equal(entered_tree(plain, "airway").endpoints[0].point, grow_tree(plain).endpoints[0].point)
