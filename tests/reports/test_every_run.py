@@ -190,7 +190,10 @@ def test_a_page_asks_for_nothing_complains_of_nothing_and_can_be_read(
     assert "Research use, not for clinical decisions" in page.locator("header.bar").inner_text()
     check_first_screen(page, document_of(run))
     assert hard_to_read(page) == []
-    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    page.evaluate("for (const one of document.querySelectorAll('.brand span, footer span')) one.textContent = 'name-'.repeat(40)")
+    for width in (390, 1440):  # a long name breaks or ends early, and never makes the page scroll sideways
+        page.set_viewport_size({"width": width, "height": 844})
+        assert page.evaluate("document.documentElement.scrollWidth") == width
     page.locator("input[name=theme][value=light]").check(force=True)
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(246, 247, 249)"
     assert lost_in_print(page) == []
