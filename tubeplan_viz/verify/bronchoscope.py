@@ -17,6 +17,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from segmentation.arrays import FloatArray
+from tubeplan_viz.verify.bronchoscope_told import INTEGRATED, check_told_robot, frame_off
 from tubeplan_viz.verify.verification import Check
 from tubeplan_viz.verify.wall import Lumen
 
@@ -35,6 +36,7 @@ COMMAND = ("phi_proximal_deg", "theta_proximal_deg", "phi_distal_deg", "theta_di
 def check_bronchoscope(folder: Path, result: Mapping[str, Any], lumen: Lumen) -> Iterator[Check]:
     """All checks of a robot's run that other planners' runs do not have."""
     steps = result["details"]["steps"]
+    yield from check_told_robot(result)
     yield from check_commands(result)
     yield from check_end(result)
     yield from check_subgoals(result)
@@ -268,7 +270,7 @@ def check_motion(result: Mapping[str, Any]) -> Iterator[Check]:
     lengths = details["robot"]["proximal_length_mm"], details["robot"]["distal_length_mm"]
     base = np.array(details["entrance"], float)
     bends = np.zeros((2, 2))
-    worst, worst_at = 0.0, 0
+    worst, worst_at, turned = 0.0, 0, 0.0
     for number, step in enumerate(details["steps"]):
         if step["command"] is not None:
             wanted = bend_vectors(step["command"])
@@ -277,9 +279,17 @@ def check_motion(result: Mapping[str, Any]) -> Iterator[Check]:
         tip = base
         for length, bend in zip(lengths, bends, strict=True):
             tip = pushed(tip, bend / length, bend / length, length)
+        turned = max(turned, frame_off(step, base, tip))
         off = float(np.linalg.norm(tip[:3, 3] - np.array(step["tip_mm"], float)))
         if off > worst:
             worst, worst_at = off, number
+    yield Check(
+        name="frames: from the commands",
+        ok=turned <= INTEGRATED,
+        found=f"{turned:.2g} off at most",
+        expected=f"at most {INTEGRATED:g}",
+        text="Base and view of every step are where the commands lead.",
+    )
     yield Check(
         name="tips: from the commands",
         ok=worst <= INTEGRATED_MM,
