@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from segmentation.arrays import FloatArray
-from tubeplan_viz.verify.rigid_told import same
+from tubeplan_viz.verify.alike import same
 from tubeplan_viz.verify.verification import Check
 
 INTEGRATED = 0.01  # of a frame's columns; the planner turns the bend in steps

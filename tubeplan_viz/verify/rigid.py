@@ -10,28 +10,25 @@ from __future__ import annotations
 import csv
 import tomllib
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from segmentation.anatomy.nasal import NasalScene, Tissue
+from segmentation.anatomy.nasal import NasalScene
 from segmentation.arrays import BoolArray, FloatArray
 from segmentation.errors import TubeplanError
 from segmentation.faults import shortened
 from tubeplan_viz.verify.needle import check_files
 from tubeplan_viz.verify.page import check_page
+from tubeplan_viz.verify.rigid_candidates import check_best, check_candidates, check_ranking
+from tubeplan_viz.verify.rigid_entry import check_entry, check_reason
 from tubeplan_viz.verify.rigid_head import own_head
-from tubeplan_viz.verify.rigid_sweep import RANKED_MM, ROUNDING_MM, Boxes, Pose, apart, gaps_along, swept_gap, turned_gap
+from tubeplan_viz.verify.rigid_sweep import ROUNDING_MM, WRITTEN_MM, Boxes, gaps_along, swept_gap, turned_gap
 from tubeplan_viz.verify.rigid_told import (
-    WRITTEN_MM,
-    check_candidates,
     check_directions,
-    check_entry,
     check_head,
     check_instrument,
-    check_reason,
     check_source,
     check_summary,
     check_worst,
@@ -41,9 +38,6 @@ from tubeplan_viz.verify.verification import Check
 SAME_MM = 1e-6
 BETWEEN_MM = 0.1  # half of what the distance can change between places of the tip 0.2 mm apart
 AROUND_MM = 25.0  # of structures beside starts and lesion that are measured to
-REACH_MM = 14.0
-RIM_MM = 1e-4
-LARGER_IS_BETTER = 4  # goals before this index are distances
 
 
 def check_rigid(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:
@@ -178,53 +172,6 @@ def check_poses(result: Mapping[str, Any]) -> Iterator[Check]:
     )
 
 
-def check_ranking(result: Mapping[str, Any]) -> Iterator[Check]:
-    """Normalised goals, weighted sums, Pareto set and best paths follow from the candidates' goals."""
-    details = result["details"]
-    rows = details["candidates"]
-    names = ("brain_mm", "orbit_mm", "septum_mm", "turbinate_mm", "length_mm", "tissue_voxels")
-    goals = np.array([[np.nan if row[name] is None else row[name] for name in names] for row in rows], dtype=float)
-    share = np.zeros_like(goals)
-    for k in range(len(names)):
-        column = goals[:, k]
-        if not np.isfinite(column).any() or np.nanmax(column) == np.nanmin(column):
-            continue
-        column = np.where(np.isnan(column), np.nanmax(column), column)
-        share[:, k] = (column - column.min()) / (column.max() - column.min())
-        if k < LARGER_IS_BETTER:
-            share[:, k] = 1.0 - share[:, k]
-    # Goals are told as they are ranked; normalised ones and scores have 6 decimals.
-    off = np.abs(share - np.array([row["normalised"] for row in rows], float))
-    weights = np.array(list(details["weights"].values()), float)
-    scores = np.array([row["normalised"] for row in rows], float) @ weights
-    off_score = float(np.abs(scores - np.array([row["score"] for row in rows])).max())
-    chosen = [details["best"]["overall"]["path"], details["best"]["brain"]["path"], details["best"]["length"]["path"]]
-    right = scores[chosen[0]] <= scores.min() + 1e-5 and share[chosen[1], 0] <= 1e-9 and share[chosen[2], 4] <= 1e-9
-    right = right and share[details["best"]["tissue"]["path"], 5] <= 1e-9
-    yield Check(
-        name="ranking",
-        ok=bool(off.max() <= 1e-6 and off_score <= 2e-6 and right),
-        found=f"goals {off.max():.2g}, scores {off_score:.2g} off at most, best paths {'right' if right else 'wrong'}",
-        expected="goals within 1e-06, scores within 2e-06, best paths right",
-        text="Normalised goals, weighted sums and the four best paths follow from the goals of the candidates.",
-    )
-    told = np.array([row["pareto"] for row in rows], bool)
-    wrong = [k for k in range(len(rows)) if beaten(share, k) is bool(told[k])]
-    yield Check(
-        name="ranking: Pareto set",
-        ok=not wrong,
-        found=f"{int(told.sum())} of {len(rows)}, wrong: {', '.join(map(str, wrong[:8])) or 'none'}",
-        expected="those that no other path beats",
-        text="In the Pareto set are the paths that no other beats in one goal without losing in another.",
-    )
-
-
-def beaten(share: FloatArray, row: int) -> bool:
-    """Whether another path is no worse in any goal and better in one."""
-    gain = share[row] - share
-    return bool(((gain >= 0.0).all(axis=1) & (gain > 0.0).any(axis=1)).any())
-
-
 def check_start(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Check]:
     """The path starts in the entry region of its side."""
     region = scene.entries.get(result["details"]["side"])
@@ -344,52 +291,6 @@ def check_distances(result: Mapping[str, Any], scene: NasalScene) -> Iterator[Ch
     )
     yield from check_worst(result, boxes, told)
     yield from check_best(result, scene, boxes)
-
-
-def check_best(result: Mapping[str, Any], scene: NasalScene, boxes: Mapping[str, Boxes]) -> Iterator[Check]:
-    """The goals of the best paths, measured again."""
-    details, tool = result["details"], result["details"]["instrument"]
-    wrong = []
-    for number in sorted({choice["path"] for choice in details["best"].values()}):
-        row = details["candidates"][number]
-        nodes, roll = np.array(row["nodes_mm"], float), float(np.radians(row["roll_deg"]))
-        for goal in ("brain", "orbit", "septum", "turbinate"):
-            some = [boxes[name] for name in boxes if name.startswith(goal)]
-            own = min((swept_gap(one, nodes, roll, tool) for one in some), default=np.inf)
-            stated = np.inf if row[f"{goal}_mm"] is None else row[f"{goal}_mm"]
-            slack = max((one.slack(own) for one in some), default=0.0) + 2.0 * WRITTEN_MM
-            if own != stated and not -2.0 * WRITTEN_MM - RANKED_MM <= own - stated <= slack:
-                wrong.append(f"{number} {goal} {stated:.3f} instead of {own:.3f} mm")
-        count, doubtful = channel(nodes, roll, tool, scene)
-        if not count - doubtful <= row["tissue_voxels"] <= count + doubtful:
-            wrong.append(f"{number} tissue {row['tissue_voxels']:g} instead of {count} voxels")
-    yield Check(
-        name="best paths: goals",
-        ok=not wrong,
-        found="; ".join(wrong[:4]) or "as measured",
-        expected="distances and tissue as the voxels say",
-        text="Distances and tissue of the best paths are those measured again.",
-    )
-
-
-def channel(nodes: FloatArray, roll: float, tool: Mapping[str, Any], scene: NasalScene) -> tuple[int, int]:
-    """Voxels of soft tissue and bone whose middles the instrument sweeps between start and goal, and how many lie on its rim."""
-    solid = np.argwhere(scene.tissue != Tissue.AIR)
-    middles = scene.volume.to_lps(solid)
-    low, high = nodes.min(axis=0) - 3.0 * REACH_MM, nodes.max(axis=0) + 3.0 * REACH_MM
-    middles = middles[((middles >= low) & (middles <= high)).all(axis=1)]
-    inside, rim = np.zeros(len(middles), bool), np.zeros(len(middles), bool)
-    for a, b in pairwise(nodes):
-        way = (b - a) / np.linalg.norm(b - a)
-        behind = float(np.linalg.norm(b - nodes[0]))
-        local = Pose(b, way, roll, tool).local(middles)
-        # What the shafts pass in front of the start counts no more: they are cut there.
-        cut = {**tool, "shaver_length_mm": behind, "scope_length_mm": behind - tool["setback_mm"]}
-        held = apart(local, cut, 0.0)
-        inside |= held <= SAME_MM
-        rim |= np.abs(apart(local * (1.0 + 1e-6), cut, 0.0) - apart(local * (1.0 - 1e-6), cut, 0.0)) > 0.0
-        rim |= (held > 0.0) & (held <= RIM_MM)
-    return int(inside.sum()), int((rim & ~inside).sum()) + int((rim & inside).sum())
 
 
 def check_table(folder: Path, result: Mapping[str, Any]) -> Iterator[Check]:

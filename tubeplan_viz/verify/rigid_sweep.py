@@ -22,6 +22,7 @@ GRID = 5  # points of a voxel to a side, its faces included
 TURN_STEP = np.radians(0.5)
 BLOCK = 8  # places of the tip that share their voxels
 ROUNDING_MM = 5e-3  # of the distances along the chosen path
+WRITTEN_MM = 1e-4  # goals and nodes of candidates have four decimals
 RANKED_MM = 0.02  # of those that paths are ranked by
 
 

@@ -1,4 +1,4 @@
-"""What a rigid run tells beside its path: instrument, head, entry region, candidates, places; each held against its source."""
+"""What a rigid run tells beside its path: instrument, head, sources, nodes, places; each held against its source."""
 
 from __future__ import annotations
 
@@ -10,49 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from segmentation.arrays import FloatArray
+from tubeplan_viz.verify.alike import SAME, alike, same
 from tubeplan_viz.verify.rigid_head import OwnHead
-from tubeplan_viz.verify.rigid_sweep import ROUNDING_MM, Boxes, Pose, apart, points_of
+from tubeplan_viz.verify.rigid_sweep import ROUNDING_MM, WRITTEN_MM, Boxes, Pose, apart, points_of
 from tubeplan_viz.verify.verification import Check
 
-SAME = 1e-6
-WRITTEN_MM = 1e-4  # goals and nodes of candidates have four decimals
-POINT_MM = 5e-3 + 1e-9  # entry voxels have two
-PLACE_MM = 0.05 * np.sqrt(3.0) + 1e-9  # what blocks a push is told to a tenth of a millimetre
-GRAZE_MM = 0.25  # the planner's envelope refuses up to this too early
-BORDER = "nostril border"
 GOALS = ("brain", "orbit", "septum", "turbinate", "length", "tissue")
 PROOF_PARTS = 64  # the proof halves the span between the limit and what is measured six times
-BEST_NAMES = {
-    "overall": "overall best",
-    "brain": "farthest from the brain",
-    "length": "shortest",
-    "tissue": "least tissue",
-}
-
-
-def same(name: str, told: Any, meant: Any, text: str) -> Check:
-    """Whether two values are one, figures to `SAME`."""
-    return Check(name=name, ok=alike(told, meant), found=brief(told), expected=brief(meant), text=text)
-
-
-def alike(told: Any, meant: Any) -> bool:
-    """The same value of the same kind; figures to `SAME`, lists and tables entry by entry."""
-    if isinstance(meant, Mapping):
-        return isinstance(told, Mapping) and told.keys() == meant.keys() and all(alike(told[k], meant[k]) for k in meant)
-    if isinstance(meant, list | tuple):
-        return isinstance(told, list | tuple) and len(told) == len(meant) and all(map(alike, told, meant))
-    if isinstance(meant, float) and isinstance(told, int | float) and not isinstance(told, bool):
-        return abs(told - meant) <= SAME * max(1.0, abs(meant))
-    return type(told) is type(meant) and told == meant
-
-
-def brief(value: Any) -> str:
-    """A value in a few words."""
-    text = f"{value:.6g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 160 else f"{text[:120]} ... {text[-30:]}"
 
 
 def check_summary(result: Mapping[str, Any]) -> Iterator[Check]:
@@ -219,181 +184,6 @@ def check_source(result: Mapping[str, Any], head: OwnHead) -> Iterator[Check]:
         expected=f"the {len(head.notes)} notes of CT and labels",
         text="Every doubt about the CT, its labels and the lesion is told.",
     )
-
-
-def check_reason(result: Mapping[str, Any]) -> Iterator[Check]:
-    """The numbers of a refusal are those of the entry region and of what was tried."""
-    details, reason = result["details"], str(result["reason"])
-    entry, goal, side = details["entry"], np.array(details["goal_mm"], float), details["side"]
-    blocked, names = np.array(entry["blocked_by"], int), [name.replace("_", " ") for name in entry["structures"]]
-    counts = np.bincount(blocked[blocked >= 0], minlength=len(names))
-    worst = int(counts.argmax())
-    places = np.array([place for place, k in zip(entry["blocked_at_mm"], blocked, strict=True) if k == worst], float)
-    nearest = places[np.linalg.norm(places - goal, axis=1).argmin()]
-    told = ", ".join(f"{names[k]} {counts[k]}" for k in np.argsort(-counts) if counts[k])
-    tried = details["relief"]
-    opening = next((row["change"] for row in tried[1:] if row["straight_starts"]), None)
-    wanted = [
-        f"from any of {len(blocked)} places of the {side} entry region",
-        f"in none of {tried[0]['directions']} directions" if not tried[0]["free"] else f"{tried[0]['free']} directions are free",
-        f"Straight pushes meet {told}; {names[worst]} stands in the way nearest to the lesion at",
-        "None of the changes tried opens a straight way" if opening is None else f"A straight way opens with {opening}",
-    ]
-    missing = [part for part in wanted if part not in reason]
-    place = [float(word) for word in reason.partition("lesion at (")[2].partition(")")[0].split(",") if word]
-    off = float(np.abs(np.array(place) - nearest).max()) if len(place) == len(nearest) else np.inf
-    yield Check(
-        name="reason",
-        ok=not missing and off <= 0.05 + 1e-9,
-        found=f"without: {missing[0]}" if missing else f"the place {off:.3g} mm off",
-        expected="the counts of the entry region, and its place nearest to the lesion",
-        text="Counts, structure and place of the reason are those of the entry region.",
-    )
-    possible = all(
-        row["free"] >= 0 and 0 <= row["straight_starts"] <= len(blocked) and 0 < sum(row["against"].values()) <= row["directions"]
-        for row in tried
-    )
-    yield Check(
-        name="what would open a way",
-        ok=possible and tried[0]["change"] == "" and tried[0]["straight_starts"] == 0 and not any(entry["feasible"]),
-        found=f"{len(tried)} changes, {tried[0]['straight_starts']} straight starts as planned",
-        expected="the case as planned first, without a straight start; counts that can be",
-        text="As planned no start has a straight way; directions and starts of the changes are counts that can be.",
-    )
-
-
-def check_entry(result: Mapping[str, Any], head: OwnHead) -> Iterator[Check]:
-    """Entry voxels are those of the region; counts follow from them; what is told to block a push stands in its way."""
-    details = result["details"]
-    entry, side = details["entry"], str(details["side"])
-    scene = head.planned
-    own = scene.volume.to_lps(np.argwhere(scene.entries[side].widened))
-    points = np.array(entry["points_mm"], float).reshape(-1, 3)
-    off = float(np.abs(points - own).max()) if points.shape == own.shape else np.inf
-    yield Check(
-        name="entry: voxels",
-        ok=off <= POINT_MM,
-        found=f"{len(points)} places, {off:.3g} mm off at most",
-        expected=f"{len(own)} voxels, told to 0.01 mm",
-        text="The places that were tried are the voxels of the entry region.",
-    )
-    names, feasible, blocked = entry["structures"], np.array(entry["feasible"], bool), np.array(entry["blocked_by"], int)
-    planned = next(row["feasible_starts"] for row in details["shrinkage"] if row["planned"])
-    meant = {"starts": len(own), "feasible": planned}
-    meant |= {f"blocked_by_{n.replace(' ', '_')}": int(((blocked == k) & ~feasible).sum()) for k, n in enumerate(names)}
-    refused = np.array(entry["refused"], int).reshape(-1, len(names))
-    meant |= {f"refused_by_{n.replace(' ', '_')}": int(refused[:, k].sum()) for k, n in enumerate(names)}
-    yield same(
-        "entry: counts", dict(entry["counts"]), meant, "The counts are those of the voxels, and of the shrinkage planned with."
-    )
-    shapes = len(feasible) == len(blocked) == len(entry["blocked_at_mm"]) == len(refused) == len(own)
-    known = set(names) <= {*scene.structures, BORDER} and set(scene.structures) >= set(names) - {BORDER}
-    whole = shapes and known and int(feasible.sum()) == planned and bool(feasible[blocked < 0].all())
-    whole = whole and bool(((blocked >= -1) & (blocked < len(names))).all()) and bool((refused >= 0).all())
-    whole = whole and bool((refused[~feasible].sum(axis=1) > 0).all())
-    yield Check(
-        name="entry: verdicts",
-        ok=whole,
-        found="whole" if whole else "not one for each voxel, or against each other",
-        expected=f"one for each of {len(own)} voxels; {planned} feasible; whatever blocks nothing is feasible",
-        text="Every voxel has a verdict, what blocks its straight push, and how many tries each structure refused.",
-    )
-    if whole:
-        yield _blocking(result, head, blocked)
-
-
-def _blocking(result: Mapping[str, Any], head: OwnHead, blocked: Any) -> Check:
-    """Where a straight push is told to be blocked, the structure is there, and the instrument passes it."""
-    details, scene = result["details"], head.planned
-    entry, goal, tool = details["entry"], np.array(details["goal_mm"], float), details["instrument"]
-    own = scene.volume.to_lps(np.argwhere(scene.entries[str(details["side"])].widened))
-    half = 0.5 * float(np.linalg.norm(scene.volume.spacing))
-    wrong = [k for k, place in enumerate(entry["blocked_at_mm"]) if (place is None) != (blocked[k] < 0)]
-    far = 0.0
-    for number, name in enumerate(entry["structures"]):
-        rows = [k for k in np.flatnonzero(blocked == number) if entry["blocked_at_mm"][k] is not None]
-        if not rows:
-            continue
-        places = np.array([entry["blocked_at_mm"][k] for k in rows], float)
-        if name != BORDER:
-            away, _ = cKDTree(scene.volume.to_lps(np.argwhere(scene.structures[name]))).query(places)
-            wrong += [int(rows[k]) for k in np.flatnonzero(away > half + PLACE_MM)]
-        for k, place in zip(rows, places, strict=True):
-            run = float(np.linalg.norm(goal - own[k]))
-            pose = Pose(goal, (goal - own[k]) / run, 0.0, tool, run)
-            gap = float(apart(pose.local(place[None]), tool, run)[0]) - float(result["limits"]["clearance_min_mm"])
-            far = max(far, gap)
-            if gap > PLACE_MM + GRAZE_MM:
-                wrong.append(int(k))
-    return Check(
-        name="entry: what blocks",
-        ok=not wrong,
-        found=f"{len(set(wrong))} places wrong, up to {far:.2f} mm from the instrument",
-        expected=f"of the structure, within {GRAZE_MM:g} mm of the swept instrument, told to 0.1 mm",
-        text="What is told to block a straight push is of that structure and in the instrument's way.",
-    )
-
-
-def check_candidates(result: Mapping[str, Any], case: Mapping[str, Any], head: OwnHead) -> Iterator[Check]:
-    """Every candidate runs from its voxel to the lesion, at a roll that was allowed, as long as it says."""
-    details, path = result["details"], result["path"]
-    rows, feasible = details["candidates"], np.array(details["entry"]["feasible"], bool)
-    goal, side = np.array(details["goal_mm"], float), str(details["side"])
-    own = head.planned.volume.to_lps(np.argwhere(head.planned.entries[side].widened))
-    most, count = float(case["rigid"]["roll_max_deg"]), int(case["rigid"]["rolls"])
-    rolls = np.linspace(-most, most, count) if count > 1 else np.zeros(1)
-    wrong: list[str] = []
-    for number, row in enumerate(rows):
-        nodes = np.array(row["nodes_mm"], float)
-        length = float(np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum())
-        start = row["start"]
-        good = 0 <= start < len(own) and bool(feasible[start]) and np.linalg.norm(nodes[0] - own[start]) <= 2.0 * WRITTEN_MM
-        good = good and np.linalg.norm(nodes[-1] - goal) <= 2.0 * WRITTEN_MM and np.abs(rolls - row["roll_deg"]).min() <= SAME
-        if not good or abs(length - row["length_mm"]) > 4.0 * WRITTEN_MM:
-            wrong.append(str(number))
-    yield Check(
-        name="candidates",
-        ok=not wrong,
-        found=f"{len(rows)}, wrong: {', '.join(wrong[:8]) or 'none'}",
-        expected="each from a feasible voxel to the lesion, its length that of its nodes, its roll one that is tried",
-        text="Every ranked path begins at its voxel and ends at the lesion.",
-    )
-    chosen = rows[details["best"]["overall"]["path"]]
-    corners = [feature["point_mm"] for feature in result["feature_points"]]
-    off = (
-        [float(np.abs(np.array(chosen["nodes_mm"], float) - np.array(corners, float)).max())]
-        if len(corners) == len(chosen["nodes_mm"])
-        else [np.inf]
-    )
-    turned = abs(chosen["roll_deg"] - details["nodes"][0]["beta_deg"])
-    yield Check(
-        name="path: the overall best",
-        ok=off[0] <= WRITTEN_MM and turned <= 1e-5 and abs(path["s_mm"][-1] - chosen["length_mm"]) <= WRITTEN_MM,
-        found=f"{off[0]:.3g} mm and {turned:.3g} degrees off",
-        expected="the nodes and the roll of the overall best candidate",
-        text="The path that the run gives is the overall best of its candidates.",
-    )
-    names = {key: choice["name"] for key, choice in details["best"].items()}
-    yield same("best paths: names", names, BEST_NAMES, "The best paths are named for their goals.")
-    worst = 0.0
-    for line, choice in zip(details["best_paths"], details["best"].values(), strict=True):
-        worst = max(worst, _off_line(np.array(line, float), np.array(rows[choice["path"]]["nodes_mm"], float)))
-    yield Check(
-        name="best paths: drawn",
-        ok=worst <= 2.0 * WRITTEN_MM,
-        found=f"{worst:.3g} mm off",
-        expected=f"at most {2.0 * WRITTEN_MM:g} mm",
-        text="What is drawn of the best paths lies on the segments between their nodes.",
-    )
-
-
-def _off_line(points: FloatArray, nodes: FloatArray) -> float:
-    """Largest distance of points to a polyline, and of the first point to its beginning, mm."""
-    away = np.full(len(points), np.inf)
-    for a, b in pairwise(nodes):
-        share = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
-        away = np.minimum(away, np.linalg.norm(points - a - share[:, None] * (b - a), axis=1))
-    return float(max(away.max(), np.linalg.norm(points[0] - nodes[0])))
 
 
 def check_directions(result: Mapping[str, Any]) -> Iterator[Check]:
