@@ -98,7 +98,7 @@ def make_rigid_page(case_id: str, result: Mapping[str, Any], head: NasalScene) -
             "The coupled instrument reaches the lesion" if status == "ok" else "No way to the lesion for this instrument"
         ),
         lead=_lead(source, status),
-        warnings=tuple(str(text) for text in result["details"].get("warnings") or ()),
+        warnings=tuple(sentence(str(text)) for text in result["details"].get("warnings") or ()),
         keys=_keys(source),
         still=picture.still,
         scene=picture.scene,

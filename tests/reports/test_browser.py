@@ -228,6 +228,10 @@ def test_the_keyboard_reaches_every_control_and_the_theme_switches(browser: Any,
     context.close()
 
 
+SHEETS = """() => [...document.styleSheets].flatMap((sheet) => [...sheet.cssRules]).flatMap((rule) => [...(rule.cssRules || [])])
+  .filter((rule) => rule instanceof CSSPageRule).map((rule) => rule.cssText).join(' ')"""
+
+
 def test_print_shows_the_charts_whole_and_all_folds(browser: Any, report: Path, tmp_path: Path) -> None:
     context = browser.new_context(viewport={"width": 1440, "height": 900})
     page = context.new_page()
@@ -244,4 +248,9 @@ def test_print_shows_the_charts_whole_and_all_folds(browser: Any, report: Path, 
             assert box["x"] + box["width"] <= 718.5
     assert not page.locator("#place").is_visible()
     assert page.locator("svg.still").is_visible()
+    # Each sheet bears the label, the case and its number.
+    feet = page.evaluate(SHEETS)
+    assert '@bottom-left { content: "Research use, not for clinical decisions"' in feet
+    assert f'@bottom-center {{ content: "{page.title()}"' in feet
+    assert 'content: counter(page) " of " counter(pages)' in feet
     context.close()
