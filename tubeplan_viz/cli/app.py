@@ -26,7 +26,7 @@ COMMANDS = {
     "segment": ("segment:segment", "Grow the lumen of a CT and write its mask (NIfTI) and mesh (PLY)."),
     "endpoints": (
         "endpoints:endpoints",
-        "List the tips of the lumen's tree, for --start and --goal; with an anatomy E1 is the way in, and --goal takes names too.",
+        "List the tips of the lumen's tree, for --start and --goal; with an anatomy E1 is the way in and --goal takes names too.",
     ),
     "verify": ("verify:verify", "Check curvature, clearance, inside-ness, ends, frame and every printed number again."),
     "compare": (

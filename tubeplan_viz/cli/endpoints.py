@@ -26,7 +26,7 @@ def endpoints(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """List the tips of the lumen's tree, for --start and --goal; with an anatomy E1 is the way in, and --goal takes names too.
+    """List the tips of the lumen's tree, for --start and --goal; with an anatomy E1 is the way in and --goal takes names too.
 
     Example: tubeplan endpoints ureter.stl
     """
