@@ -25,8 +25,8 @@ from tubeplan_viz.bronchoscope.route import Stage
 from tubeplan_viz.bronchoscope.steering import bends_of
 from tubeplan_viz.geometry import WallDistance
 
-# A push of so many mm that takes the tip along the guide by less than this share of it has caught it on the wall: the shaft bends
-# out behind it. Shorter pushes turn the sections, which may take the tip aside or back.
+# Pushes of so many mm that take the tip along the guide by less than this share of them have caught it on the wall: the shaft
+# bends out behind it. Shorter ones turn the sections, which may take the tip aside or back, and count together.
 CAUGHT_PUSH, CAUGHT = 2.0, 0.25
 LATELY = 10.0  # mm of push from which the base's way is learnt
 
@@ -202,7 +202,7 @@ class _Growth:
                 else:
                     step = self.mover.move(node.step, command)
                     tally.pushes += 1
-                    good = not self._collides(step) and not self._caught(step, tip_at, push)
+                    good = not self._collides(step) and not self._caught(origin, step, tip_at, push)
                     tally.refused += not good
                     made = self._add(step, origin, number, accepted=good)
                     if good:
@@ -230,11 +230,20 @@ class _Growth:
         near = step.disc_clearance < self.settings.disc_margin or step.body_clearance < self.settings.body_margin
         return near or step.halted
 
-    def _caught(self, step: Step, tip_at: float, push: float) -> bool:
-        """Whether the tip hangs on the wall: a push from beside `tip_at` of the guide, mm, has hardly brought it on."""
-        if push < CAUGHT_PUSH:
-            return False
-        return self.guide.nearest(step.tip[:3, 3], tip_at - push, tip_at + 2.0 * push) - tip_at < CAUGHT * push
+    def _caught(self, origin: int, step: Step, tip_at: float, push: float) -> bool:
+        """Whether the tip hangs on the wall: the push from a node, with short ones before it, has hardly brought it on.
+
+        `tip_at` is the guide's arc length beside the node's tip, mm.
+        """
+        pushed, number = push, origin
+        while pushed < CAUGHT_PUSH:
+            node = self.nodes[number]
+            if node.step.command is None:
+                return False
+            pushed += max(node.step.command.push, 0.0)
+            number = node.parent
+        begun = tip_at if number == origin else self.guide.nearest(self.nodes[number].tip, tip_at - pushed, tip_at + pushed)
+        return self.guide.nearest(step.tip[:3, 3], begun - pushed, begun + 2.0 * pushed) - begun < CAUGHT * pushed
 
     def _settle(self, here: int, number: int) -> int | None:
         """Correct the tip onto the goal by small commands; the node with the least error, None if none is near enough."""

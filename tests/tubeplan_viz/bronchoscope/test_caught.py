@@ -29,12 +29,14 @@ SHORT = 4.0
 class Snagged:
     """The mover without forces in a tube with a snag, at which `outcome` says what becomes of a push.
 
-    `brush` is the clearance that is told of the front disc after every move, where it is given.
+    `brush` is the clearance that is told of the front disc after every move, where it is given. A mover that creeps brings the
+    tip on by a tenth of what it should beyond the snag, however short the push.
     """
 
     mover: KinematicMover
     outcome: Callable[[Step, Step], Step]
     brush: float | None = None
+    creeps: bool = False
 
     def start(self) -> Step:
         return self.mover.start()
@@ -43,6 +45,8 @@ class Snagged:
         made = self.mover.move(step, command)
         if self.brush is not None:
             made = replace(made, disc_clearance=self.brush)
+        if self.creeps and made.tip[1, 3] > SNAG:
+            return hung(step, made, share=0.1)
         long = step.tip[1, 3] < SNAG < made.tip[1, 3] and command.push > SHORT
         return self.outcome(step, made) if long else made
 
@@ -52,10 +56,10 @@ def stopped(before: Step, made: Step) -> Step:
     return replace(made, halted=True)
 
 
-def hung(before: Step, made: Step) -> Step:
+def hung(before: Step, made: Step, *, share: float = 0.2) -> Step:
     """The command is carried out, but the tip hangs on the wall and the shaft bends out behind it: a fifth of the way is left."""
     tip = before.tip.copy()
-    tip[:3, 3] += 0.2 * (made.tip[:3, 3] - before.tip[:3, 3])
+    tip[:3, 3] += share * (made.tip[:3, 3] - before.tip[:3, 3])
     return replace(before, command=made.command, tip=tip)
 
 
@@ -64,7 +68,9 @@ def wall() -> WallDistance:
     return WallDistance(straight_tube(LENGTH, RADIUS).surface)
 
 
-def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], *, brush: float | None = None, **asked: Any) -> RobotPlan:
+def planned(
+    wall: WallDistance, outcome: Callable[[Step, Step], Step], *, brush: float | None = None, creeps: bool = False, **asked: Any
+) -> RobotPlan:
     robot = Robot()
     points = np.column_stack([np.zeros(161), np.linspace(0.5, 80.5, 161), np.zeros(161)])
     guide = Guide(points, np.full(161, RADIUS))
@@ -73,7 +79,7 @@ def planned(wall: WallDistance, outcome: Callable[[Step, Step], Step], *, brush:
         Stage(name="before", begin=0.0, end=40.0, goal=np.array([0.0, 40.5, 0.0]), radius=3.0),
         Stage(name="beyond", begin=40.0, end=75.5, goal=goal, radius=3.0),
     )
-    mover = Snagged(KinematicMover(wall, robot, pose_along([0.0, 0.5, 0.0], [0.0, 1.0, 0.0])), outcome, brush)
+    mover = Snagged(KinematicMover(wall, robot, pose_along([0.0, 0.5, 0.0], [0.0, 1.0, 0.0])), outcome, brush, creeps)
     settings = PlannerSettings(**asked)
     return plan_segmented(mover, robot, guide, stages, settings, wall=wall, rng=np.random.default_rng(0))
 
@@ -98,6 +104,16 @@ def test_a_robot_that_is_always_stopped_gives_up_after_few_pushes_a_sample(wall:
     assert "'beyond'" in always.reason
     # A push of 8 mm is tried at 8 and 5 mm only; at most two more lead from a sample's pose to the snag.
     assert sum(tally.pushes for tally in always.tallies) <= 5 * 4
+
+
+def test_short_pushes_that_hardly_bring_the_tip_on_count_together(wall: WallDistance) -> None:
+    """Each is too short to tell by itself; two of 1.5 mm are not, and a sample does not creep on for two hundred of them."""
+    plan = planned(wall, lambda before, made: made, creeps=True, push_max=1.5, samples_max=4)
+    assert not plan.reached
+    beyond = [number for number, node in enumerate(plan.nodes) if node.accepted and node.tip[1] > SNAG - 1.5]
+    assert 1 <= len(beyond) <= 4 * 3
+    # From 26.5 to 50 mm at 1.5 mm a push, and at the snag a few for each sample.
+    assert sum(tally.pushes for tally in plan.tallies) < 23.5 / 1.5 + 4 * 6
 
 
 def test_a_tip_counts_as_caught_by_its_way_along_the_guide(wall: WallDistance) -> None:
