@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,13 @@ from tubeplan_viz.cli.app import status_of
 DOCUMENTS = ("result.json", "reach.json", "matrix.json", "compare.json")
 TUBE = ["plan", "tube", "--mesh", "neck.ply", "--start", "E1", "--goal", "E2", "--curvature-max", "0.125"]
 RIGID = ["plan", "rigid", "--ct", "head.nii.gz", "--lesion", "11.6,3,27", "--nodes", "0"]
+COMPARED = [f"{name}{copy}" for copy in ("", "-2", "-3") for name in ("tube-holds", "tube-flagged")]
 # Name (none that is also a word of a command), command and exit status; its files are made from CASES and generated anatomy.
 RUNS: dict[str, tuple[list[str], int]] = {
     "tube-holds": ([*TUBE, "--method", "feature_iteration", "--clearance-min", "0.8"], 0),
     "tube-flagged": ([*TUBE, "--method", "feature_iteration", "--clearance-min", "1.5"], 3),
-    "comparison": (["compare", "tube-holds", "tube-flagged"], 0),
+    # As many as may be: their columns are the narrowest.
+    "comparison": (["compare", *COMPARED], 0),
     "needle2d": (["run", "needle2d.toml"], 0),
     "needle3d": (["run", "needle3d.toml"], 0),
     "needle-none": (["run", "needle-none.toml"], 4),
@@ -91,7 +94,9 @@ def made(tmp_path_factory: pytest.TempPathFactory, needle_past_a_circle: Callabl
         if not run.exists():
             command, expected = RUNS[name]
             if name == "comparison":
-                make("tube-holds"), make("tube-flagged")
+                for each in COMPARED[:2]:
+                    for copy in ("-2", "-3"):
+                        shutil.copytree(make(each), folder / f"{each}{copy}")
             known = {path.name for path in folder.iterdir()}
             arguments = [str(folder / word) if word in known else word for word in command]
             assert status_of([*arguments, "-o", str(run), "-q"]) == expected
