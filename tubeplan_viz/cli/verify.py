@@ -13,7 +13,7 @@ from tubeplan_viz.verify import Check, verify_run
 
 
 def verify(
-    run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder.")],
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN_DIR", help="A run folder, or one that `tubeplan matrix` made.")],
     json: Json = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Only the checks that do not hold, and how many do.")] = False,
 ) -> None:

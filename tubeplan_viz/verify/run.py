@@ -12,7 +12,7 @@ import numpy as np
 
 from segmentation.arrays import FloatArray
 from segmentation.faults import shortened
-from tubeplan_viz.result import ResultError, RunFolderError, not_a_run, validate_result
+from tubeplan_viz.result import RESULT, ResultError, RunFolderError, is_run, not_a_run, validate_result
 from tubeplan_viz.verify.bronchoscope import check_bronchoscope
 from tubeplan_viz.verify.claims import (
     check_features_and_centerline,
@@ -22,6 +22,7 @@ from tubeplan_viz.verify.claims import (
     check_verdict,
 )
 from tubeplan_viz.verify.files import check_markups, check_outputs, check_table
+from tubeplan_viz.verify.matrix import check_matrix
 from tubeplan_viz.verify.measures import check_measures
 from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
 from tubeplan_viz.verify.needle import check_needle
@@ -37,6 +38,7 @@ from tubeplan_viz.verify.wall import Lumen, Triangles
 
 NEEDLE_PLANNERS = ("needle2d", "needle3d")
 LONGEST_MM = 5000.0
+MATRIX = "matrix.json"
 Content = TypeVar("Content")
 
 
@@ -52,7 +54,7 @@ def verify_run(folder: Path, *, seen: Callable[[Check], None] = lambda _: None) 
     Parameters
     ----------
     folder : Path
-        A run folder, whole.
+        A run folder, or one of instruments against targets, whole.
     seen : callable
         Called with each check when it is done.
 
@@ -63,11 +65,12 @@ def verify_run(folder: Path, *, seen: Callable[[Check], None] = lambda _: None) 
     Raises
     ------
     RunFolderError
-        If the folder has no result.json that tubeplan wrote.
+        If the folder has no result.json or matrix.json that tubeplan wrote.
     """
-    result = _read_result(folder)
+    of_matrix = not (folder / RESULT).exists() and is_run(folder, MATRIX)
+    document = _read_document(folder, MATRIX if of_matrix else RESULT)
     checks = []
-    for check in _whole(_checks(folder, result)):
+    for check in _whole((check_matrix if of_matrix else _checks)(folder, document)):
         seen(check)
         checks.append(check)
     return Verification(run=folder.resolve().name, checks=tuple(checks))
@@ -87,17 +90,17 @@ def _whole(checks: Iterator[Check]) -> Iterator[Check]:
         )
 
 
-def _read_result(folder: Path) -> dict[str, Any]:
+def _read_document(folder: Path, file: str) -> dict[str, Any]:
     name = folder.resolve().name
     try:
-        text = (folder / "result.json").read_text(encoding="utf-8")
+        text = (folder / file).read_text(encoding="utf-8")
         document = json.loads(text, parse_constant=_no_constant, object_pairs_hook=_no_doubles)
     except OSError as fault:
         raise not_a_run(folder) from fault
     except ValueError as fault:
-        raise RunFolderError(f"{name}: result.json is no JSON ({fault}); the run is damaged, plan the case again") from fault
+        raise RunFolderError(f"{name}: {file} is no JSON ({fault}); the run is damaged, plan the case again") from fault
     if not isinstance(document, dict):
-        raise RunFolderError(f"{name}: result.json is no table of keys; name the folder that `tubeplan plan` made")
+        raise RunFolderError(f"{name}: {file} is no table of keys; name the folder that `tubeplan plan` made")
     return document
 
 
