@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,7 +24,6 @@ from tubeplan_viz.instruments.track import Track
 from tubeplan_viz.instruments.verdict import Cell, Target, Verdict, Witness, broken, witness_of
 from tubeplan_viz.plan import Limits, NoPathError
 from tubeplan_viz.tube import METHODS, OptimalSettings, Passage, TubeProblem, TubeSettings, optimise, tube_rounds
-from tubeplan_viz.tube.passage import Proposal
 from tubeplan_viz.tube.samples import first_spline
 
 # Nearer to the ceiling than this share, a softer instrument gains nothing.
@@ -32,6 +31,9 @@ NEAR_CEILING = 0.99
 # A search for a verdict: where it succeeds it takes under ten rounds; the rest go to instruments that do not fit.
 SEARCH_ROUNDS = 15
 SEARCH_TOLERANCE = 2e-3
+# A path that is to lie amid the lumen need not lie there to the last digit: fewer control points, mm apart at most.
+CENTRE_SPACING, SPACING_MAX = 2.0, 20.0
+CENTRE_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,8 +127,10 @@ class Reach:
 
     def widest_path(self, limits: Limits) -> SplineCurve | None:
         """The path of largest least clearance under a curvature limit; None when no spline follows the line."""
-        curve = None
-        for proposal in self._proposals(limits, self._first_spline):
+        first, curve = self._first_spline, None
+        if first is None:
+            return None
+        for proposal in optimise(self._passage(limits), quick(self._settings.tube.optimal), warm=first):
             curve = proposal.curve
             # The first proof ends the phase that raises the least clearance; what follows serves its mean.
             if proposal.clearance is not None:
@@ -134,23 +138,23 @@ class Reach:
         return curve
 
     def centre(self) -> None:
-        """Add paths as far from the wall as they can be where the lumen is wider than at its narrowest.
+        """Add a path as far from the wall as it can be where the lumen is wider than at its narrowest.
 
-        Instruments that a narrow place keeps out, or whose rigid tip is caught, come farther on them. One bends as little as
-        the stiffest of these has to, one as half of them may: more room in the bends against more instruments.
+        Instruments that a narrow place keeps out, or whose rigid tip is caught, come farther on it. It bends no more than two
+        thirds of them may: more room in the bends against more instruments that can follow.
         """
         levels = sorted(one.limits.curvature_max for one in self._instruments if not self.is_served(one))
-        thinnest = min(one.radius for one in self._instruments)
-        for level in dict.fromkeys((levels[0], levels[len(levels) // 2])):
-            limits, curve = Limits(curvature_max=level, clearance_min=thinnest), None
-            for proposal in self._proposals(limits, self._first_spline):
+        limits = Limits(curvature_max=levels[len(levels) // 3], clearance_min=min(one.radius for one in self._instruments))
+        settings = quick(self._settings.tube.optimal)
+        spacing = min(CENTRE_SPACING * settings.control_spacing, SPACING_MAX)
+        coarse = replace(settings, control_spacing=spacing, tolerance=max(settings.tolerance, CENTRE_TOLERANCE))
+        curve = None
+        try:
+            for proposal in optimise(self._passage(limits), coarse):
                 curve = proposal.curve
-            self.add(curve, limits)
-
-    def _proposals(self, limits: Limits, first: SplineCurve | None) -> Iterator[Proposal]:
-        """Rounds of the refinement from a spline on; none without one."""
-        if first is not None:
-            yield from optimise(self._passage(limits), quick(self._settings.tube.optimal), warm=first)
+        except NoPathError:
+            return
+        self.add(curve, limits)
 
     @cached_property
     def _first_spline(self) -> SplineCurve | None:
