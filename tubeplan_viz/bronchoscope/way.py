@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
@@ -32,8 +33,9 @@ BRUSH = 0.05
 ROOMY = 0.2
 # Samples before all commands are laid at once.
 FIRST_SAMPLES = 30
-# Samples with weight before it is learnt how the base goes.
-FIRST_MOVED = 20
+# With weight: samples beyond one for each stage before the robot begins anew, the share of the longest push that it then has, and
+# samples while it learns how its base goes.
+SPARE, SHORTER, LEARNING = 2, 0.6, 20
 # Over the last millimetres the guide leaves the middle for a target beside it.
 LAST_BEND = 8.0
 
@@ -141,23 +143,37 @@ def plan_moved(
 ) -> RobotPlan:
     """Plan with a mover that knows weight and contact; parameters as `plan_segmented`.
 
-    Where walls hold the shaft, its base follows the bend before it. In a wide lumen it does not, and a tip that is aimed as if
-    it did sinks and may miss a narrow mouth. So what the first samples do not reach is planned again from the entrance by
-    learning how the base goes. Of two plans that do not reach the goal, the one that came nearer is kept.
+    What a tree does not reach with few samples it seldom reaches with many: a tip that has missed a mouth does not come back.
+    So the robot begins anew from the entrance: with shorter pushes, which follow the guide more closely; then by learning how
+    far the base follows the bend before it, which it does where walls hold the shaft and not in a wide lumen, where a tip
+    that is aimed as if it did sinks; then as at first, with all samples that are left. Of plans that do not reach the
+    goal, the one that came nearest is kept.
     """
-    begun = time.perf_counter()
-    asked = replace(settings, samples_max=min(FIRST_MOVED, settings.samples_max))
-    plan = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, watch=watch)
-    left = time_left(settings, begun)
-    if plan.reached or settings.samples_max <= FIRST_MOVED or left == 0.0:
-        return plan
-    done = len(plan.nodes)
-    further = None if watch is None else lambda node, number: watch(node, done + number)
-    asked = replace(settings, samples_max=settings.samples_max - FIRST_MOVED, time_budget=left)
-    other = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, learns=True, watch=further)
-    if not other.reached and other.tip_error >= plan.tip_error:
-        return plan
-    return replace(other, given_up=(len(plan.nodes), len(plan.samples)))
+    begun, few = time.perf_counter(), len(stages) + SPARE
+    tries = ((1.0, False, few), (SHORTER, False, few), (1.0, True, LEARNING), (1.0, False, settings.samples_max))
+    best, samples, poses = None, 0, 0
+    for share, learns, most in tries:
+        left = time_left(settings, begun)
+        if best is not None and (best.reached or samples >= settings.samples_max or left == 0.0):
+            break
+        asked = replace(
+            settings,
+            samples_max=min(most, settings.samples_max - samples),
+            push_max=max(share * settings.push_max, settings.push_min),
+            time_budget=left,
+        )
+        further = None if watch is None else partial(told_later, watch, poses)
+        plan = plan_segmented(simulator, robot, guide, stages, asked, wall=wall, rng=rng, learns=learns, watch=further)
+        samples, poses = samples + len(plan.samples), poses + len(plan.nodes)
+        if best is None or plan.reached or plan.tip_error < best.tip_error:
+            best = plan
+    assert best is not None
+    return replace(best, given_up=(poses - len(best.nodes), samples - len(best.samples)))
+
+
+def told_later(watch: Watch, before: int, node: Node, number: int) -> None:
+    """Tell of a pose by its number after the poses of trees before it."""
+    watch(node, before + number)
 
 
 def time_left(settings: PlannerSettings, begun: float) -> float | None:

@@ -20,7 +20,7 @@ from tubeplan_viz.bronchoscope.mover import Command, Step
 from tubeplan_viz.bronchoscope.robot import Robot
 from tubeplan_viz.bronchoscope.robot_plan import Node, PlannerSettings, RobotPlan
 from tubeplan_viz.bronchoscope.target import branch_target
-from tubeplan_viz.bronchoscope.way import FIRST_MOVED, plan_moved, plan_way
+from tubeplan_viz.bronchoscope.way import LEARNING, SHORTER, SPARE, plan_moved, plan_way
 from tubeplan_viz.geometry import WallDistance
 
 PHI, THETA, PUSH = 0.8, 0.6, 6.0
@@ -86,15 +86,16 @@ def test_the_share_is_the_same_in_any_frame(mover: KinematicMover) -> None:
 
 
 class Tries:
-    """In place of the planner: what each try gives, and with what it was asked."""
+    """In place of the planner: what each try gives, and with what it was asked: samples, longest push, whether it learns."""
 
     def __init__(self, mover: KinematicMover, *outcomes: tuple[bool, float]) -> None:
         self.start, self.outcomes = mover.start(), outcomes
-        self.asked: list[tuple[int, bool]] = []
+        self.asked: list[tuple[int, float, bool]] = []
 
     def __call__(self, *args: Any, learns: bool = False, watch: Any = None, **named: Any) -> RobotPlan:
         reached, error = self.outcomes[len(self.asked)]
-        self.asked.append((args[4].samples_max, learns))
+        asked = args[4]
+        self.asked.append((asked.samples_max, asked.push_max, learns))
         nodes = tuple(Node(step=self.start, parent=k - 1, stage=0, accepted=True) for k in range(3))
         for number, node in enumerate(nodes):
             watch(node, number)
@@ -104,7 +105,7 @@ class Tries:
             stages=(),
             tallies=(),
             nodes=nodes,
-            samples=(),
+            samples=((0, np.zeros(3)),) * asked.samples_max,
             tip_error=error,
             reached=reached,
             reason=None if reached else "stuck",
@@ -119,7 +120,7 @@ def tried(monkeypatch: pytest.MonkeyPatch, tries: Tries, **asked: Any) -> tuple[
         none,
         Robot(),
         none,
-        (),
+        (none,) * 6,
         PlannerSettings(**asked),
         wall=none,
         rng=np.random.default_rng(0),
@@ -128,42 +129,60 @@ def tried(monkeypatch: pytest.MonkeyPatch, tries: Tries, **asked: Any) -> tuple[
     return plan, numbers
 
 
+FEW = 6 + SPARE  # one sample for each of six stages, and some
+
+
 def test_what_the_first_samples_reach_is_the_plan(mover: KinematicMover, monkeypatch: pytest.MonkeyPatch) -> None:
     tries = Tries(mover, (True, 0.2))
     plan, numbers = tried(monkeypatch, tries)
     assert plan.tip_error == 0.2
-    assert tries.asked == [(FIRST_MOVED, False)]
+    assert plan.given_up == (0, 0)
+    assert tries.asked == [(FEW, 8.0, False)]
     assert numbers == [0, 1, 2]
 
 
-def test_what_they_do_not_reach_is_planned_again_by_learning_with_the_samples_left(
+def test_what_they_do_not_reach_is_begun_anew_with_shorter_pushes_by_learning_and_with_all_samples_left(
     mover: KinematicMover, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tries = Tries(mover, (False, 9.0), (True, 0.3))
-    plan, numbers = tried(monkeypatch, tries, samples_max=50)
+    tries = Tries(mover, (False, 9.0), (False, 7.0), (False, 8.0), (True, 0.3))
+    plan, numbers = tried(monkeypatch, tries, samples_max=70)
     assert plan.reached
     assert plan.tip_error == 0.3
-    assert plan.given_up == (3, 0)  # poses and samples of the first tree
-    assert tries.asked == [(FIRST_MOVED, False), (50 - FIRST_MOVED, True)]
-    assert numbers == [0, 1, 2, 3, 4, 5]  # poses of both trees are told apart
+    assert tries.asked == [
+        (FEW, 8.0, False),
+        (FEW, 8.0 * SHORTER, False),
+        (LEARNING, 8.0, True),
+        (70 - 2 * FEW - LEARNING, 8.0, False),
+    ]
+    assert plan.given_up == (9, 2 * FEW + LEARNING)  # poses and samples of the three trees before
+    assert numbers == list(range(12))  # poses of all trees are told apart
 
 
-@pytest.mark.parametrize(("errors", "kept"), [((9.0, 4.0), 4.0), ((4.0, 9.0), 4.0)])
-def test_of_two_plans_that_fall_short_the_nearer_one_is_kept(
-    mover: KinematicMover, monkeypatch: pytest.MonkeyPatch, errors: tuple[float, float], kept: float
+@pytest.mark.parametrize("errors", [(9.0, 4.0, 6.0), (4.0, 9.0, 5.0), (8.0, 7.0, 4.0)])
+def test_of_plans_that_fall_short_the_nearest_one_is_kept(
+    mover: KinematicMover, monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...]
 ) -> None:
-    plan, _ = tried(monkeypatch, Tries(mover, (False, errors[0]), (False, errors[1])))
+    tries = Tries(mover, *((False, error) for error in errors))
+    plan, _ = tried(monkeypatch, tries, samples_max=2 * FEW + LEARNING)
     assert not plan.reached
-    assert plan.tip_error == kept
+    assert plan.tip_error == 4.0
+    assert len(tries.asked) == 3
+    assert sum(plan.given_up) == 6 + 2 * FEW + LEARNING - len(plan.samples)
 
 
 def test_few_samples_or_no_time_left_are_for_one_try(mover: KinematicMover, monkeypatch: pytest.MonkeyPatch) -> None:
     few = Tries(mover, (False, 9.0))
     tried(monkeypatch, few, samples_max=5)
-    assert few.asked == [(5, False)]
+    assert few.asked == [(5, 8.0, False)]
     late = Tries(mover, (False, 9.0))
     tried(monkeypatch, late, time_budget=0.0)
     assert len(late.asked) == 1
+
+
+def test_pushes_are_not_made_shorter_than_the_least(mover: KinematicMover, monkeypatch: pytest.MonkeyPatch) -> None:
+    tries = Tries(mover, (False, 9.0), (True, 0.1))
+    tried(monkeypatch, tries, push_max=8.0, push_min=7.0)
+    assert [push for _, push, _ in tries.asked] == [8.0, 7.0]
 
 
 def test_all_tries_of_a_plan_share_one_time_budget(made_airway: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,7 +212,7 @@ def test_all_tries_of_a_plan_share_one_time_budget(made_airway: Any, monkeypatch
     simulator = KinematicMover(tree.wall, robot, entrance.pose)
     asked = PlannerSettings(time_budget=30.0)
     plan_way(tree, entrance, target, robot, asked, rng=np.random.default_rng(0), simulator=simulator)
-    # By kinematics with few samples and with all, then in the simulator and there again; each takes a tenth of a second.
-    assert len(given) == 4
+    # By kinematics with few samples and with all, then in the simulator, until no sample is left; each takes a tenth of a second.
+    assert len(given) == 2 + 4
     assert given[0] <= 30.0
     assert all(later <= earlier - 0.1 for earlier, later in pairwise(given))
