@@ -12,10 +12,11 @@ from typer.exceptions import TyperException
 from segmentation.errors import TubeplanError
 from segmentation.faults import fault_words
 from tubeplan_viz import __version__
+from tubeplan_viz.cli import INTERRUPTED
 from tubeplan_viz.cli.late import PLAIN, add_late
 from tubeplan_viz.cli.usage import usage_words
 
-OK, FAULT, BAD_INPUT, NO_PATH, INTERRUPTED = 0, 1, 2, 4, 130
+OK, FAULT, BAD_INPUT, NO_PATH = 0, 1, 2, 4
 
 # By name: where the command is, and the first line of its help.
 COMMANDS = {
