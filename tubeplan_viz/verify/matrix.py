@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from segmentation.arrays import FloatArray
 from tubeplan_viz.result import ResultError, check_schema, shipped_schema
 from tubeplan_viz.verify.mesh_file import MeshFile, MeshFileError, read_mesh
 from tubeplan_viz.verify.no_path import SLACK, max_circle, room
-from tubeplan_viz.verify.profile import ON_SURFACE_MM, OwnProfile, measure
+from tubeplan_viz.verify.profile import ON_SURFACE_MM, SPACING_MM, OwnProfile, measure
 from tubeplan_viz.verify.spline import BezierPath
 from tubeplan_viz.verify.verification import Check
 from tubeplan_viz.verify.wall import Lumen, Triangles
@@ -42,15 +42,23 @@ class Measured:
 
     stated: Mapping[str, Any]
     own: OwnProfile
+    sweeps: dict[float, Sweep] = field(default_factory=dict)
 
     @property
     def curvature(self) -> float:
         """Largest curvature, 1/mm."""
         return self.own.curvature_peak
 
-    def tip(self, length: float, near: Corners) -> float:
-        """Least clearance of a rigid tip of a length on its way, mm; infinite without one."""
-        return np.inf if length <= 0.0 else tip_clearance(self.own, length, near)
+    def tip(self, length: float, near: Corners, *, until: float = np.inf, enough: float = np.inf) -> float:
+        """Least clearance of a rigid tip of a length on its way, mm, up to some mm of it; infinite without one.
+
+        What is found to be `enough` is not told any closer.
+        """
+        if length <= 0.0:
+            return np.inf
+        if length not in self.sweeps:
+            self.sweeps[length] = Sweep.of(self.own, length, near)
+        return self.sweeps[length].clearance(self.own.lumen, until=until, enough=enough)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +106,7 @@ def check_matrix(folder: Path, document: Mapping[str, Any]) -> Iterator[Check]:
     paths = [[Measured(one, measured(one, lumen)) for one in column] for column in document["paths"]]
     yield check_paths(document, paths)
     yield check_cells(document, paths, lumen)
+    yield check_advances(document, paths, lumen)
     yield check_impossible(document, paths, lumen)
     yield check_bends(document, lumen)
 
@@ -117,31 +126,57 @@ def measured(path: Mapping[str, Any], lumen: Lumen) -> OwnProfile:
     return measure(BezierPath.from_spline(int(spline["degree"]), np.array(spline["knots"], dtype=float), control), lumen)
 
 
-def tip_clearance(own: OwnProfile, length: float, near: Corners) -> float:
-    """Least clearance of chords of a length with both ends on the path, mm; 0 where one of them leaves the lumen.
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Chords of one length with both ends on a path: places of their fronts, points along them, and bounds of the clearance.
 
     A chord that is not yet wholly on the path begins at its start.
     """
-    s, first = np.unique(own.samples.s, return_index=True)
-    points = own.samples.points[first]
-    chords = []
-    for front in np.append(np.arange(0.0, s[-1], TIP_STEP_MM), s[-1]):
-        k = min(int(np.searchsorted(s, front)), len(s) - 1)
-        far = np.flatnonzero(np.linalg.norm(points[: k + 1] - points[k], axis=1) >= length)
-        chords.append((points[k], points[far[-1] if len(far) else 0]))
-    share = np.linspace(0.0, 1.0, max(int(np.ceil(length / TIP_STEP_MM)), 2) + 1)[:, None]
-    along = np.array([a + share * (b - a) for a, b in chords])  # (chords, places, 3)
-    least, above = near.bounds(along.reshape(-1, 3))
-    asked = least <= above.min()
-    least[asked] = own.lumen.wall.distance(along.reshape(-1, 3)[asked])
-    free = least.reshape(along.shape[:2])
-    # Between neighbours whose balls without wall meet there is no wall: the chord stays where it begins, inside.
-    apart = np.linalg.norm(np.diff(along, axis=1), axis=2)
-    doubtful = np.flatnonzero((free[:, 1:] + free[:, :-1] <= apart).any(axis=1))
-    leaving = doubtful[np.linspace(0, len(doubtful) - 1, min(CHORDS, len(doubtful))).astype(int)]
-    if len(leaving) and not own.lumen.clearance(along[leaving].reshape(-1, 3), on_surface=ON_SURFACE_MM)[1].all():
-        return 0.0
-    return float(free.min())
+
+    front: FloatArray
+    along: FloatArray
+    least: FloatArray
+    most: FloatArray
+
+    @classmethod
+    def of(cls, own: OwnProfile, length: float, near: Corners) -> Sweep:
+        """The chords of a path at every half millimetre and at its end."""
+        s, first = np.unique(own.samples.s, return_index=True)
+        points = own.samples.points[first]
+        front = np.append(np.arange(0.0, s[-1], TIP_STEP_MM), s[-1])
+        ahead = np.minimum(np.searchsorted(s, front), len(s) - 1)
+        behind = np.zeros_like(ahead)
+        for number, k in enumerate(ahead):
+            far = np.flatnonzero(np.linalg.norm(points[: k + 1] - points[k], axis=1) >= length)
+            behind[number] = far[-1] if len(far) else 0
+        share = np.linspace(0.0, 1.0, max(int(np.ceil(length / TIP_STEP_MM)), 2) + 1)
+        along = points[ahead][:, None] + share[:, None] * (points[behind] - points[ahead])[:, None]  # (chords, places, 3)
+        least, most = (bound.reshape(along.shape[:2]) for bound in near.bounds(along.reshape(-1, 3)))
+        # The path beside the chord, whose clearance is known, tells more: it is no farther from the wall than that and the gap.
+        beside = np.rint(ahead[:, None] + share * (behind - ahead)[:, None]).astype(int)
+        gap, free = np.linalg.norm(along - points[beside], axis=2), np.abs(own.clearance[first])[beside]
+        return cls(front, along, np.maximum(least, free - gap), np.minimum(most, free + gap))
+
+    def clearance(self, lumen: Lumen, *, until: float = np.inf, enough: float = np.inf) -> float:
+        """Least clearance of the chords up to a place, mm, no closer than `enough`; 0 where one of them leaves the lumen."""
+        # The sample at a front lies up to its spacing beyond it.
+        before = self.front + SPACING_MM <= until
+        before[0] = True
+        along, free = self.along[before], self.least[before].copy()
+        asked = free <= min(float(self.most[before].min()), enough)
+        free[asked] = lumen.wall.distance(along[asked])
+        # Between neighbours whose balls without wall meet there is no wall: the chord stays where it begins, inside.
+        apart = np.linalg.norm(np.diff(along, axis=1), axis=2)
+        doubtful = np.flatnonzero((free[:, 1:] + free[:, :-1] <= apart).any(axis=1))
+        leaving = doubtful[np.linspace(0, len(doubtful) - 1, min(CHORDS, len(doubtful))).astype(int)]
+        if len(leaving) and not lumen.clearance(along[leaving].reshape(-1, 3), on_surface=ON_SURFACE_MM)[1].all():
+            return 0.0
+        return float(free.min())
+
+
+def tip_clearance(own: OwnProfile, length: float, near: Corners) -> float:
+    """Least clearance of chords of a length with both ends on the path, mm; 0 where one of them leaves the lumen."""
+    return Sweep.of(own, length, near).clearance(own.lumen)
 
 
 def told(faults: list[str], count: int, what: str) -> str:
@@ -279,6 +314,43 @@ def check_cells(document: Mapping[str, Any], paths: list[list[Measured]], lumen:
         found=told(faults, count, "cells"),
         expected="the verdict that shaft, bends, length and rigid tip give",
         text="Every instrument on its path; of a rigid tip, chords at every half millimetre.",
+    )
+
+
+def check_advances(document: Mapping[str, Any], paths: list[list[Measured]], lumen: Lumen) -> Check:
+    """How far every instrument comes that does not hold: the beginning of its path, measured."""
+    faults, count = [], 0
+    near = Corners.of(lumen)
+    for one, row in zip(document["instruments"], document["cells"], strict=True):
+        required = 0.5 * one["outer_diameter_mm"]
+        for j, (target, cell) in enumerate(zip(document["targets"], row, strict=True)):
+            keys = ("reached_mm", "reached_point_mm", "short_mm", "reached_path")
+            if cell["reached_path"] is None or cell["verdict"] == "feasible":
+                if any(cell[key] is not None for key in keys):
+                    faults.append(f"{one['name']}, {target['label']}: a place on the way, and no way or the target itself")
+                continue
+            count += 1
+            path, reached = paths[j][cell["reached_path"]], cell["reached_mm"]
+            own, s = path.own, path.own.samples.s
+            before = s <= reached
+            least = min(float(own.clearance[before].min()), path.tip(one["rigid_tip_mm"], near, until=reached, enough=required))
+            bent = float(own.curvature[before].max())
+            point = np.array([np.interp(reached, s, own.samples.points[:, k]) for k in range(3)])
+            claims = {
+                f"its clearance falls to {least:.3f} mm before": least >= required - BOUND_MM,
+                f"its curvature rises to {bent:.4f} 1/mm before": bent * one["bend_radius_min_mm"] <= 1.0 + BOUND,
+                "the working length ends before": reached + document["before_start_mm"] <= one["working_length_mm"] + BOUND_MM,
+                f"{own.length - reached:.4f} mm are left": abs(own.length - reached - cell["short_mm"]) <= 1e-6 * own.length,
+                # Between samples 0.04 mm apart a line for the curve; arc lengths agree to a millionth.
+                "the place is not on the path": np.linalg.norm(point - np.array(cell["reached_point_mm"])) <= 1e-3,
+            }
+            faults += [f"{one['name']}, {target['label']}: {words}" for words, holds in claims.items() if not holds]
+    return Check(
+        name="cells: how far",
+        ok=not faults,
+        found=told(faults, count, "cells"),
+        expected="every limit kept up to the place stated, and what is left of the path from there",
+        text="How far an instrument comes that does not hold.",
     )
 
 

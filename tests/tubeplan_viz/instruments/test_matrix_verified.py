@@ -18,6 +18,7 @@ from tubeplan_viz.verify import verify_run
 from tubeplan_viz.verify.matrix import (
     Corners,
     Measured,
+    check_advances,
     check_bends,
     check_cells,
     check_csv,
@@ -116,6 +117,14 @@ CHANGES: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a target": (lambda d: d["targets"][0]["point_mm"].__setitem__(0, d["targets"][0]["point_mm"][0] + 0.01), "paths: measured"),
     "a thicker instrument": (thicker, "cells: judged on their paths"),
     "a ceiling below a path": (lambda d: d["targets"][0].update(ceiling_mm=0.5), "cells: impossible"),
+    "a place farther on": (
+        lambda d: d["cells"][2][0].update(
+            reached_mm=d["cells"][2][0]["reached_mm"] + 0.5, short_mm=d["cells"][2][0]["short_mm"] - 0.5
+        ),
+        "cells: how far",
+    ),
+    "what is left": (cell(4, short_mm=1.0), "cells: how far"),
+    "a place of one that holds": (cell(0, reached_mm=1.0), "cells: how far"),
     "a longer instrument": (lambda d: d["instruments"][4].update(working_length_mm=300.0), "cells: impossible"),
     "a bend": (
         lambda d: d["bends"][0][0].update(clearance_upper_bound_mm=0.2),
@@ -156,6 +165,7 @@ def test_an_altered_number_is_found(name: str, folder: Path, lumen: Lumen, own: 
         "matrix.csv": lambda: next(check_csv(folder, changed)),
         "paths: measured": lambda: check_paths(changed, paths),
         "cells: judged on their paths": lambda: check_cells(changed, paths, lumen),
+        "cells: how far": lambda: check_advances(changed, paths, lumen),
         "cells: impossible": lambda: check_impossible(changed, paths, lumen),
         "cells: bends": lambda: check_bends(changed, lumen),
     }

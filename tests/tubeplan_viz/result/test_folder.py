@@ -243,7 +243,7 @@ def test_signals_leave_no_folder_that_looks_finished(tmp_path: Path, number: int
 def test_a_folder_of_another_command_is_told_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "cohort").mkdir()
     (tmp_path / "cohort" / "cohort.json").write_text('{"provenance": {"software": "tubeplan"}}')
-    with pytest.raises(RunFolderError, match="^cohort was made by `tubeplan batch` and is no run; name a folder"):
+    with pytest.raises(RunFolderError, match=r"^cohort was made by `tubeplan batch` and is no run; name a folder"):
         read_result(tmp_path / "cohort")
 
 
