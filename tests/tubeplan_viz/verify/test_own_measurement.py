@@ -240,7 +240,7 @@ def test_unreadable_mesh_files(tmp_path: Path, content: bytes, words: str) -> No
 
 def test_verifier_shares_no_geometry_with_the_planners() -> None:
     readers = {"segmentation.images", "segmentation.mesh_files", "segmentation.volume_files"}  # obstacles from files
-    readers |= {"segmentation.anatomy.nasal", "segmentation.label_file"}  # labels, made again from the CT
+    readers |= {"segmentation.anatomy.nasal", "segmentation.label_file", "segmentation.volume"}  # labels, made again from the CT
     words = {"segmentation.errors", "segmentation.faults"}
     allowed = {"segmentation.arrays", "tubeplan_viz.result"} | words | readers
     folder = Path(tubeplan_viz.verify.__file__).parent
