@@ -84,7 +84,7 @@ class Reach:
         if target.centerline is not None:
             possible = [one for one in self._instruments if self.impossible(one) is None]
             self.search(possible)
-            if not all(self.is_served(one) for one in self._instruments):
+            if settings.method == "optimal" and not all(self.is_served(one) for one in self._instruments):
                 self.centre()
             hindered = [one for one in possible if not any(self.fits(witness, one) for witness in self.witnesses)]
             self.bends = sharp_bends(wall, target, hindered, self.witnesses)

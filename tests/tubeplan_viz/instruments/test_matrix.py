@@ -110,8 +110,13 @@ def test_working_length_counts_what_is_used_up_before_the_start(fork: Any) -> No
 
 
 def test_the_feature_iteration_serves_too(fork: Any) -> None:
-    cell = judged(fork, [scope("thin", 1.0, 6.0)], method="feature_iteration").cells[0][0]
-    assert cell.verdict is Verdict.FEASIBLE
+    matrix = judged(fork, [scope("thin", 1.0, 6.0), scope("thick", 3.0, 6.0)], method="feature_iteration")
+    assert matrix.cells[0][0].verdict is Verdict.FEASIBLE
+    # The thick one does not fit the narrow branch, where its search is spared; no path of another method tells how far it comes.
+    assert matrix.cells[1][1].verdict is Verdict.IMPOSSIBLE
+    assert len(matrix.paths[1]) == 1
+    assert matrix.cells[1][1].advance is not None
+    assert matrix.cells[1][1].advance.path == 0
 
 
 def test_targets_in_another_part_have_no_line_and_are_not_called_impossible_without_proof(fork: Any) -> None:
