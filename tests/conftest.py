@@ -99,6 +99,13 @@ def phantoms() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
+def plant() -> Callable[..., None]:
+    """Of tests/altering.py: one value of a document changed in place."""
+    plant: Callable[..., None] = _helper("altering").plant
+    return plant
+
+
+@pytest.fixture(scope="session")
 def numbers_shown() -> ModuleType:
     """tests/numbers_shown.py."""
     return _helper("numbers_shown")
