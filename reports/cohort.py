@@ -8,8 +8,9 @@ from typing import Any
 
 from reports.cohort_charts import KINDS, cohort_charts
 from reports.folds import Fact, Fold
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, sentence
+from reports.numbers import Figure, Phrase, Source, phrase, sentence
 from reports.parts import Drawing
+from tubeplan_viz.result import digits_apart
 
 # Status of a case -> icon, word on the page, and how the sentence at the top counts it.
 STATUS = {

@@ -10,10 +10,11 @@ import numpy as np
 from markupsafe import Markup
 
 from reports.folds import Fact, Fold
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
+from reports.numbers import Figure, Phrase, Source, phrase, printed, sentence
 from reports.still import Label, choose_view, still_picture
 from reports.wall import light_mesh
 from segmentation.mesh import Surface
+from tubeplan_viz.result import digits_apart, part_words
 
 ICONS = {"feasible": "yes", "flagged": "flag", "impossible": "no"}
 WORDS = {"feasible": "Holds", "flagged": "Flagged", "impossible": "Impossible"}
@@ -97,7 +98,7 @@ class MatrixPage:
 def make_matrix_page(document: Mapping[str, Any], surface: Surface) -> MatrixPage:
     """Everything that the page of one matrix shows; `document` is the content of matrix.json."""
     source = Source(document)
-    labels = tuple((str(target["label"]), _part(target)) for target in document["targets"])
+    labels = tuple((str(target["label"]), part_words(target["label"], target["name"])) for target in document["targets"])
     rows = tuple(_row(source, i) for i in range(len(document["instruments"])))
     counts = document["counts"]
     total = sum(counts.values())
@@ -174,11 +175,6 @@ def _cell(source: Source, i: int, j: int) -> CellView:
     )
 
 
-def _part(target: Mapping[str, Any]) -> str:
-    """The name of a target's part without the label that stands beside it: "upper calyx" for "upper calyx E2"."""
-    return " ".join(word for word in str(target["name"] or "").split() if word != target["label"])
-
-
 def _margin(source: Source, key: str) -> Figure | None:
     """A margin with as many decimals as tell it from none: what does not fit never shows 0.00."""
     value = source.value(key)
@@ -195,7 +191,7 @@ def _target(source: Source, rows: tuple[RowView, ...], j: int) -> TargetView:
     widest = max(reached, key=lambda i: diameters[i]["outer_diameter_mm"], default=None)
     return TargetView(
         label=str(target["label"]),
-        name=_part(target),
+        name=part_words(target["label"], target["name"]),
         position=position,
         way=phrase(way) if way is not None else phrase("not joined to the start"),
         ceiling=phrase(source.need(f"{key}.ceiling_mm", 2, "mm")),
@@ -208,7 +204,7 @@ def _hindrances(document: Mapping[str, Any]) -> tuple[Hindrance, ...]:
     """Flagged cells one by one; what proves a target out of reach once, with all instruments that it keeps out."""
     flagged, narrow, sharp, other = [], [], [], []
     for j, target in enumerate(document["targets"]):
-        label = " ".join(filter(None, (target["label"], _part(target))))
+        label = " ".join(filter(None, (target["label"], part_words(target["label"], target["name"]))))
         too_thick, too_stiff = [], dict[int, list[Mapping[str, Any]]]()
         for one, row in zip(document["instruments"], document["cells"], strict=True):
             cell = row[j]

@@ -25,17 +25,6 @@ def printed(value: float, digits: int, *, signed: bool = False) -> str:
     return text[1:] if text[:1] == MINUS and not text.strip(f"{MINUS}0.") else text
 
 
-def digits_apart(value: float, limit: float, digits: int) -> int:
-    """Decimals, at least `digits` and at most 6, at which `value` and `limit` no longer print alike; `digits` where none do.
-
-    Examples
-    --------
-    >>> digits_apart(1.047, 1.05, 2), digits_apart(1.05 + 1e-9, 1.05, 2)
-    (3, 2)
-    """
-    return next((n for n in range(digits, 7) if printed(value, n) != printed(limit, n)), digits)
-
-
 @dataclass(frozen=True)
 class Figure:
     """One number of result.json as the page prints it.

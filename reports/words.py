@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from reports.numbers import Figure, Phrase, Source, digits_apart, phrase, printed, sentence
-from tubeplan_viz.result import STRAIGHT_MM, kept_until
+from reports.numbers import Figure, Phrase, Source, phrase, printed, sentence
+from tubeplan_viz.result import STRAIGHT_MM, digits_apart, kept_until
 
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 # Words of --objective other than the default.

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from reports import DERIVED, derived_values, render_report
-from reports.numbers import Figure, Source, digits_apart, printed
+from reports.numbers import Figure, Source, printed
+from tubeplan_viz.result import digits_apart
 from tubeplan_viz.verify.page import derived as verified
 
 CASES = {

@@ -12,6 +12,7 @@ from tubeplan_viz.instruments.advance import Advance
 from tubeplan_viz.instruments.catalogue import Instrument
 from tubeplan_viz.instruments.tip import TipClearance
 from tubeplan_viz.plan import Limits
+from tubeplan_viz.result import digits_apart
 from tubeplan_viz.tube.bottleneck import Bottleneck
 
 
@@ -132,7 +133,7 @@ def apart(value: float, limit: float) -> tuple[str, str]:
     >>> apart(1.497, 1.5), apart(0.8, 1.5), apart(-0.003, 0.0)
     (('1.497', '1.500'), ('0.80', '1.50'), ('-0.003', '0.000'))
     """
-    digits = next((n for n in range(2, 7) if f"{value:.{n}f}".lstrip("-") != f"{limit:.{n}f}"), 2)
+    digits = digits_apart(value, limit, 2)
     return f"{value:.{digits}f}", f"{limit:.{digits}f}"
 
 

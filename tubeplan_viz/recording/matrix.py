@@ -18,6 +18,7 @@ from tubeplan_viz.recording.anatomy import log_surface
 from tubeplan_viz.recording.blueprint import Viewpoint, folded, scene_axes, scene_view, viewpoint
 from tubeplan_viz.recording.names import log_names
 from tubeplan_viz.recording.sink import Sink
+from tubeplan_viz.result import digits_apart, part_words
 
 INSTRUMENT = "instrument"
 TREE = "/case/instruments"
@@ -96,8 +97,8 @@ def log_row(sink: Sink, document: Mapping[str, Any], row: list[Mapping[str, Any]
 
 def margin_text(margin: float) -> str:
     """A margin in mm with as many decimals, 2 to 6, as tell it from none: what does not fit never shows 0.00."""
-    texts = [f"{margin:+.{digits}f}" for digits in range(2, 7)]
-    return next((text for text in texts if float(text) != 0.0), f"{0.0:.2f}")
+    text = f"{margin:+.{digits_apart(margin, 0.0, 2)}f}"
+    return text if float(text) else f"{0.0:.2f}"
 
 
 def beginning(points: FloatArray, length: float) -> FloatArray:
@@ -136,7 +137,7 @@ def told(document: Mapping[str, Any], one: Mapping[str, Any], row: list[Mapping[
 
 def called(target: Mapping[str, Any]) -> str:
     """A target's label with the name of its part, where that is known; a label that is in the name stands once."""
-    return " ".join([target["label"], *(word for word in str(target["name"] or "").split() if word != target["label"])])
+    return " ".join(filter(None, (target["label"], part_words(target["label"], target["name"]))))
 
 
 def table(document: Mapping[str, Any]) -> str:

@@ -54,3 +54,8 @@ def place_words(result: Mapping[str, Any], at: float) -> str:
     """A place on the path, with the part of the anatomy where it is known: "57.0 mm, ureter"."""
     parts = (result.get("details") or {}).get("parts") or ()
     return ", ".join([f"{at:.1f} mm", *[str(part["name"]) for part in parts if part["from_mm"] <= at <= part["to_mm"]][:1]])
+
+
+def part_words(label: str, name: str | None) -> str:
+    """The name of an end point's part without the label that stands beside it: "upper calyx" for "upper calyx E2"."""
+    return " ".join(word for word in str(name or "").split() if word != label)

@@ -205,14 +205,20 @@ def check_tally(document: Mapping[str, Any]) -> Iterator[Check]:
     )
 
 
+def cells_of(document: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], int, Mapping[str, Any]]]:
+    """Every cell with its instrument and the number of its target."""
+    for one, row in zip(document["instruments"], document["cells"], strict=True):
+        for j, (_, cell) in enumerate(zip(document["targets"], row, strict=True)):
+            yield one, j, cell
+
+
 def check_csv(folder: Path, document: Mapping[str, Any]) -> Iterator[Check]:
     """matrix.csv says what matrix.json says."""
     faults = []
     try:
         with (folder / "matrix.csv").open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-        pairs = [(one, target, cell) for one, row in zip(document["instruments"], document["cells"], strict=True)
-                 for target, cell in zip(document["targets"], row, strict=True)]  # fmt: skip
+        pairs = [(one, document["targets"][j], cell) for one, j, cell in cells_of(document)]
         if len(rows) != len(pairs):
             faults.append(f"{len(rows)} rows instead of {len(pairs)}")
         for number, (row, (one, target, cell)) in enumerate(zip(rows, pairs, strict=False), start=2):
@@ -321,30 +327,29 @@ def check_advances(document: Mapping[str, Any], paths: list[list[Measured]], lum
     """How far every instrument comes that does not hold: the beginning of its path, measured."""
     faults, count = [], 0
     near = Corners.of(lumen)
-    for one, row in zip(document["instruments"], document["cells"], strict=True):
-        required = 0.5 * one["outer_diameter_mm"]
-        for j, (target, cell) in enumerate(zip(document["targets"], row, strict=True)):
-            keys = ("reached_mm", "reached_point_mm", "short_mm", "reached_path")
-            if cell["reached_path"] is None or cell["verdict"] == "feasible":
-                if any(cell[key] is not None for key in keys):
-                    faults.append(f"{one['name']}, {target['label']}: a place on the way, and no way or the target itself")
-                continue
-            count += 1
-            path, reached = paths[j][cell["reached_path"]], cell["reached_mm"]
-            own, s = path.own, path.own.samples.s
-            before = s <= reached
-            least = min(float(own.clearance[before].min()), path.tip(one["rigid_tip_mm"], near, until=reached, enough=required))
-            bent = float(own.curvature[before].max())
-            point = np.array([np.interp(reached, s, own.samples.points[:, k]) for k in range(3)])
-            claims = {
-                f"its clearance falls to {least:.3f} mm before": least >= required - BOUND_MM,
-                f"its curvature rises to {bent:.4f} 1/mm before": bent * one["bend_radius_min_mm"] <= 1.0 + BOUND,
-                "the working length ends before": reached + document["before_start_mm"] <= one["working_length_mm"] + BOUND_MM,
-                f"{own.length - reached:.4f} mm are left": abs(own.length - reached - cell["short_mm"]) <= 1e-6 * own.length,
-                # Between samples 0.04 mm apart a line for the curve; arc lengths agree to a millionth.
-                "the place is not on the path": np.linalg.norm(point - np.array(cell["reached_point_mm"])) <= 1e-3,
-            }
-            faults += [f"{one['name']}, {target['label']}: {words}" for words, holds in claims.items() if not holds]
+    for one, j, cell in cells_of(document):
+        target, required = document["targets"][j], 0.5 * one["outer_diameter_mm"]
+        keys = ("reached_mm", "reached_point_mm", "short_mm", "reached_path")
+        if cell["reached_path"] is None or cell["verdict"] == "feasible":
+            if any(cell[key] is not None for key in keys):
+                faults.append(f"{one['name']}, {target['label']}: a place on the way, and no way or the target itself")
+            continue
+        count += 1
+        path, reached = paths[j][cell["reached_path"]], cell["reached_mm"]
+        own, s = path.own, path.own.samples.s
+        before = s <= reached
+        least = min(float(own.clearance[before].min()), path.tip(one["rigid_tip_mm"], near, until=reached, enough=required))
+        bent = float(own.curvature[before].max())
+        point = np.array([np.interp(reached, s, own.samples.points[:, k]) for k in range(3)])
+        claims = {
+            f"its clearance falls to {least:.3f} mm before": least >= required - BOUND_MM,
+            f"its curvature rises to {bent:.4f} 1/mm before": bent * one["bend_radius_min_mm"] <= 1.0 + BOUND,
+            "the working length ends before": reached + document["before_start_mm"] <= one["working_length_mm"] + BOUND_MM,
+            f"{own.length - reached:.4f} mm are left": abs(own.length - reached - cell["short_mm"]) <= 1e-6 * own.length,
+            # Between samples 0.04 mm apart a line for the curve; arc lengths agree to a millionth.
+            "the place is not on the path": np.linalg.norm(point - np.array(cell["reached_point_mm"])) <= 1e-3,
+        }
+        faults += [f"{one['name']}, {target['label']}: {words}" for words, holds in claims.items() if not holds]
     return Check(
         name="cells: how far",
         ok=not faults,
